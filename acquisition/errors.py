@@ -150,7 +150,7 @@ class SdoAbortedError(BusFaultError):
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """A file, or a `table` of it, for errors about its content."""
 
     name: str
@@ -159,9 +159,9 @@ class Place:
     def __str__(self) -> str:
         return self.name
 
-    def at(self, table: str) -> "Place":
+    def at(self, table: str) -> "Location":
         """A table of this place."""
-        return Place(self.name, f"{self.table}.{table}".lstrip("."))
+        return Location(self.name, f"{self.table}.{table}".lstrip("."))
 
     def refuse(
         self,
@@ -211,4 +211,4 @@ class Place:
         return found
 
 
-COMMAND_LINE: Final = Place("")  # of options, which their keys name
+COMMAND_LINE: Final = Location("")  # of options, which their keys name

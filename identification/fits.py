@@ -75,7 +75,7 @@ class Fit:
         return tuple(self.file.assumed or ())
 
     @property
-    def trust(self) -> tuple[report.TrustLine, ...]:
+    def trust(self) -> tuple[report.TrustResult, ...]:
         """The tests, worst first: `test`, `level`, `value`, `text`."""
         return tuple(self.file.trust or ())
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import BadInputError, Place
+from ..errors import BadInputError, Location
 from ..files import GrowingBytes
 from ..recording import (
     CAN_FD,
@@ -67,7 +67,7 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     the log cannot be read or is damaged, or no recording holds a time, an identifier or the data.
     """
     if path.suffix.lower() not in SUFFIXES:
-        Place(str(path)).refuse(
+        Location(str(path)).refuse(
             text=f"suffix {path.suffix!r}", expected=".log (candump), .asc, .blf or .trc"
         )
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
@@ -83,7 +83,7 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
                 if len(waiting[interface]) > _AT_ONCE:
                     stored[interface].write(waiting.pop(interface))
             else:
-                Place(f"{path}: frame {number}").refuse(
+                Location(f"{path}: frame {number}").refuse(
                     text=f"time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X}, {len(data)} bytes",
                     expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, 29 bits and 8 bytes at most",
                 )
@@ -170,7 +170,7 @@ def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
     with path.open(encoding="latin-1") as file:
         for line in file:
             if version := _OTHER_VERSION.match(line):
-                Place(str(path)).refuse(
+                Location(str(path)).refuse(
                     text=f"version {version[1]} of PCAN's format",
                     expected="1.0, 1.1, 1.3, 2.0 or 2.1",
                 )

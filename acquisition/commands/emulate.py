@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from ..errors import COMMAND_LINE, Place, one_line
+from ..errors import COMMAND_LINE, Location, one_line
 from .command_line import add_bus, add_flag, add_path
 
 OF_DESCRIPTION, OF_RECORDING = "a robot.toml", "a recording"
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> None:
     is_played = is_recording(options.file)
     other = OF_DESCRIPTION if is_played else OF_RECORDING
     for name in OPTIONS[other]:
-        Place(f"--{name.replace('_', '-')}").require(
+        Location(f"--{name.replace('_', '-')}").require(
             getattr(options, name) in (None, False),
             text=f"is only for {other}",
             expected=f"none with {options.file}",
@@ -96,7 +96,7 @@ def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
 
     robot = load_robot(options.file)
     bus = resolve(robot, str(options.file))
-    Place(str(options.file), "bus").require(
+    Location(str(options.file), "bus").require(
         bus.file.interface != "virtual",
         "interface",
         "virtual",
@@ -107,7 +107,7 @@ def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
         mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
-        samples = Place(str(options.replay)).given(
+        samples = Location(str(options.replay)).given(
             recording.samples, text=recording.no_samples, expected="some to replay"
         )
         mechanism = DrivenPlant(

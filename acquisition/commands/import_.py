@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from ..errors import COMMAND_LINE, Place, one_line
+from ..errors import COMMAND_LINE, Location, one_line
 from ..options import RecordOptions
 from .command_line import Progress, add_options, add_overwrite, add_path
 
@@ -270,7 +270,7 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
     from ..importing import is_log
 
     for path in paths:
-        Place(str(path)).require(
+        Location(str(path)).require(
             is_log(path),
             text="a table needs --map MAP.toml",
             expected="the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, "
@@ -281,4 +281,4 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
 
 def _refuse_second(paths: Sequence[Path], kind: str) -> None:
     for path in paths[1:]:
-        Place(str(path)).refuse(text=f"is a second {kind}", expected="one")
+        Location(str(path)).refuse(text=f"is a second {kind}", expected="one")

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import COMMAND_LINE, BusFaultError, Place, one_line
+from ..errors import COMMAND_LINE, BusFaultError, Location, one_line
 from ..options import RecordOptions
 from .command_line import add_flag, add_options, add_path, from_options
 from .terminal import STDIN, Notes, StatusLine
@@ -108,7 +108,7 @@ def _check_options(options: argparse.Namespace) -> None:
         options.duration_s,
         "more than 0, and finite",
     )
-    Place("--track").require(
+    Location("--track").require(
         options.track is None or options.dry_run or options.yes or os.isatty(STDIN),
         text="nobody can confirm the joint positions",
         expected="a terminal, or --yes",
@@ -130,7 +130,7 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         _tell(f"warning: {text}")
     text = f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{text}; {outcome.reason}"))
-    Place(str(out)).require(
+    Location(str(out)).require(
         recorded.path is None or recorded.path.absolute() == out.absolute(),
         text=f"was deleted: the recording is in {recorded.path}",
     )

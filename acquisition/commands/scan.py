@@ -5,7 +5,7 @@ listening and SDO reads only.
 import argparse
 from contextlib import closing
 
-from ..errors import COMMAND_LINE, Place, one_line
+from ..errors import COMMAND_LINE, Location, one_line
 from .command_line import Progress, add_bus, add_path
 
 
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> None:
         f"one of {', '.join(map(str, BITRATES))}",
         text="a wrong one destroys the frames of others",
     )
-    Place(str(out)).require(
+    Location(str(out)).require(
         out is None or not out.exists(),
         text="already exists",
         expected="a new name; descriptions are not replaced",
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
         uploads = Uploads(link, file, line.say)
         nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
-    Place(f"bus: {interface} {options.channel}").require(
+    Location(f"bus: {interface} {options.channel}").require(
         nodes,
         text="no node answers",
         expected="one at least: drives on, cable, terminators, bitrate",

@@ -4,7 +4,7 @@ import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from ..errors import Place
+from ..errors import Location
 
 MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # formats that viewers read
 MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
@@ -15,7 +15,7 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
 
     Refuses what is missing or too large.
     """
-    at = Place(place)
+    at = Location(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from ..errors import BadInputError, Place, listed
+from ..errors import BadInputError, Location, listed
 from .whole import atomic_write, read_bytes
 
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
@@ -49,7 +49,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     finite = np.isfinite(values)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
-        Place(f"{path}: row {row + 1}").refuse(
+        Location(f"{path}: row {row + 1}").refuse(
             labels[column], float(values[row, column]), "a finite number"
         )
     return values
@@ -101,9 +101,9 @@ def scan_table(path: Path, rows: int) -> list[TableColumn]:
     ]
 
 
-def _read(path: Path) -> tuple[bytes, Place, bool]:
+def _read(path: Path) -> tuple[bytes, Location, bool]:
     """The bytes of a table, its place in errors, and whether it is a MAT file."""
-    place = Place(str(path))
+    place = Location(str(path))
     data = read_bytes(path)
     place.require(
         not data.startswith((b"MATLAB 7.3", b"\x89HDF")),
@@ -114,7 +114,7 @@ def _read(path: Path) -> tuple[bytes, Place, bool]:
 
 
 def _parse_csv(
-    data: bytes, place: Place
+    data: bytes, place: Location
 ) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
     """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
     decimal commas as points.
@@ -160,7 +160,7 @@ def _parse_csv(
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
         if found != len(names):  # of each of many lines: no message is made before
-            Place(f"{place}: line {k}").refuse(
+            Location(f"{place}: line {k}").refuse(
                 text=f"{found} cells",
                 expected=f"{len(names)}, as in line {lines[0][0]}, the names of the columns; "
                 "delete lines above them",
@@ -170,7 +170,7 @@ def _parse_csv(
 
 
 def _csv_columns(
-    data: bytes, columns: Sequence[str | int], _count: int, place: Place
+    data: bytes, columns: Sequence[str | int], _count: int, place: Location
 ) -> tuple[Array, list[str]]:
     names, has_header, separator, rows = _parse_csv(data, place)
     chosen = [_index(column, names, has_header, place) for column in columns]
@@ -183,7 +183,7 @@ def _csv_columns(
         for k, line in rows:  # slow, but only for an error that names the cell
             cells = line.split(separator)
             for column, label in zip(chosen, labels, strict=True):
-                Place(f"{place}: line {k}").given(
+                Location(f"{place}: line {k}").given(
                     _number(cells[column]), label, cells[column].strip()[:40], "a number"
                 )
         place.refuse(text=str(error))
@@ -201,7 +201,7 @@ def _number(cell: str) -> float | None:
         return None
 
 
-def _index(column: str | int, names: Sequence[str], has_header: bool, place: Place) -> int:
+def _index(column: str | int, names: Sequence[str], has_header: bool, place: Location) -> int:
     if isinstance(column, int):
         place.require(
             1 <= column <= len(names),
@@ -224,7 +224,7 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
 
 
 def _mat_columns(
-    data: bytes, names: Sequence[str | int], count: int, place: Place
+    data: bytes, names: Sequence[str | int], count: int, place: Location
 ) -> tuple[Array, list[str]]:
     """The named parts of a MAT file as columns (N, count), and a label for each column."""
     # Matrices may be samples by joints or joints by samples: the number of samples is the one that
@@ -248,7 +248,7 @@ def _mat_columns(
         expected=f"variables of one length, {count} columns in all",
     )
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
-        Place(f"{place}: {shown}").require(
+        Location(f"{place}: {shown}").require(
             part.shape != (rows, rows) or upright,
             text="samples may be rows or columns",
             expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
@@ -262,7 +262,7 @@ def _mat_columns(
     ]
 
 
-def _load(data: bytes, place: Place, names: Sequence[str] | None = None) -> dict[str, Any]:
+def _load(data: bytes, place: Location, names: Sequence[str] | None = None) -> dict[str, Any]:
     """The variables with these names (default: all).
 
     Others are not read, since objects of MATLAB's classes cannot be.
@@ -279,7 +279,7 @@ def _load(data: bytes, place: Place, names: Sequence[str] | None = None) -> dict
         place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
 
 
-def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
+def _walk(variables: dict[str, Any], path: str, place: Location) -> Any:
     """The value of a dotted name; None if it does not exist."""
     top, *fields = path.split(".")
     value, at = variables.get(top), top
@@ -295,7 +295,7 @@ def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
     return value
 
 
-def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
+def _part(value: Any, match: re.Match[str], place: Location) -> tuple[Array, bool]:
     """The matrix that a name selects, and whether the name states that its rows are samples."""
     name = match.string
     if (
@@ -338,7 +338,7 @@ def _size(part: Array) -> str:
     return " x ".join(str(size) for size in part.shape)
 
 
-def _present(data: bytes, place: Place) -> str:
+def _present(data: bytes, place: Location) -> str:
     """Names of a file's variables and of the fields of its structs, for an error."""
     try:
         return listed([*_leaves(_load(data, place))])
@@ -361,7 +361,7 @@ def _leaves(variables: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _scan_mat(data: bytes, rows: int, place: Place) -> list[TableColumn]:
+def _scan_mat(data: bytes, rows: int, place: Location) -> list[TableColumn]:
     """Vectors and columns of matrices, of the length that most variables have, and texts."""
     leaves = {name: np.squeeze(value) for name, value in _leaves(_load(data, place)).items()}
     numbers = {name: np.atleast_2d(x) for name, x in leaves.items() if x.dtype.kind in "fiu"}

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..errors import Place
+from ..errors import Location
 
 NAMES = {  # of what is read and written here
     "mcap": "a recording",
@@ -45,7 +45,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+        Location(str(path)).refuse(text=f"cannot be read: {error.strerror}")
 
 
 def kind_of(path: Path) -> str:
@@ -75,7 +75,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     Raises `BadInputError` if `path` is a folder, a device or a file of another `kind_of` content,
     its folder is missing or not writable, or the disk is full.
     """
-    place = Place(str(path))
+    place = Location(str(path))
     place.require(path.name, text="cannot be written", expected="the name of a file")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -124,7 +124,7 @@ def refuse_clash(
         *((kind, path) for kind, path in (of_kinds or {}).items() if path is not None),
     ]
     for k, (kind, output) in enumerate(named):
-        place = Place(str(output))
+        place = Location(str(output))
         for path in inputs:
             place.require(
                 path is None or not _same(output, path),
@@ -147,7 +147,7 @@ def refuse_clash(
 def _refuse_other_kind(path: Path, kind: str) -> None:
     """Raise `BadInputError` if a file exists that is not empty and not of this kind."""
     if path.is_file() and path.stat().st_size and (found := kind_of(path)) != kind:
-        Place(str(path)).refuse(
+        Location(str(path)).refuse(
             text=f"already exists and is {NAMES[found]}, not {NAMES[kind]}",
             expected="another name for the output",
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import BadInputError, Place, listed
+from ..errors import BadInputError, Location, listed
 from ..files import by_rows, taken
 from ..recording import JOINT_STATE, Header, in_gaps
 from ..robot import Payload, Robot
@@ -81,11 +81,13 @@ def import_bag(
     are missing, zero, not finite or not in units of robot.toml, stamps have gaps or do not grow.
     """
     joints = [joint.name for joint in robot.joints]
-    position_side(robot, "joint", "position", Place(str(bag)))
+    position_side(robot, "joint", "position", Location(str(bag)))
     read, controllers, topic = _read(bag, options, joints)
     place = read.place
     stamps_ns, received, parts, warnings = read.states(topic)
-    controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
+    controller = options.reference_topic or _only_controller(
+        controllers, joints, Location(str(bag))
+    )
     q = parts["position"]
     parts["effort"], provenance, effort_object = _effort(
         robot, parts.get("effort"), options.effort_unit, place
@@ -130,7 +132,7 @@ def import_bag(
 
 
 def _only_controller(
-    controllers: Mapping[str, JointStates], joints: Sequence[str], place: Place
+    controllers: Mapping[str, JointStates], joints: Sequence[str], place: Location
 ) -> str | None:
     """Topic of the controller of all joints; of one that lacks some if there is no
     other, None without any.
@@ -182,7 +184,7 @@ def _with_reference(
 
 
 def _effort(
-    robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place
+    robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Location
 ) -> tuple[Array, str, str]:
     """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
     effort = place.given(
@@ -218,7 +220,7 @@ def _storage(path: Path) -> Path:
     """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
     whole = not path.is_dir() or (path / "metadata.yaml").exists()
     files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
-    Place(str(path)).require(
+    Location(str(path)).require(
         len(files) <= 1,
         text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
         expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
@@ -230,7 +232,7 @@ def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
 ) -> tuple[JointStates, dict[str, JointStates], str]:
     """Joint states of the `joints` in the bag's order, controllers' by topic; the topic read."""
-    wanted, parts = options.reference_topic, JointStates(joints, Place(str(path)))
+    wanted, parts = options.reference_topic, JointStates(joints, Location(str(path)))
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -243,14 +245,14 @@ def _read(
             topic = _topic_of(JOINT_STATE, options.topic, types, parts.place)
             if wanted:
                 _topic_of(CONTROLLER_STATE, wanted, types, parts.place)
-            parts.place = Place(f"{path}: {topic}")
+            parts.place = Location(f"{path}: {topic}")
             connections = [c for c in reader.connections if c.topic == topic]
             parts.publishers = sum(
                 max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections
             )
             others = [c for c in reader.connections if c.msgtype == CONTROLLER_STATE]
             controllers = {
-                c.topic: JointStates(joints, Place(f"{path}: {c.topic}")) for c in others
+                c.topic: JointStates(joints, Location(f"{path}: {c.topic}")) for c in others
             }
             for connection, received_ns, raw in reader.messages(
                 connections=[*connections, *others]
@@ -267,14 +269,14 @@ def _read(
         raise
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
         told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
-        Place(str(path)).refuse(
+        Location(str(path)).refuse(
             expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
             text=f"cannot be read{f' after {parts.count} messages' if parts.count else ''}: {told}",
         )
     return parts, controllers, topic
 
 
-def _topic_of(kind: str, topic: str, types: dict[str, str], place: Place) -> str:
+def _topic_of(kind: str, topic: str, types: dict[str, str], place: Location) -> str:
     """The topic, by default the only one of its kind."""
     found = [name for name, own in types.items() if own == kind]
     if topic in found or (not topic and len(found) == 1):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
-from ..errors import BadInputError, Place
+from ..errors import BadInputError, Location
 from ..protocol import ANSWER, REQUEST, Confirmed, Key, Values, words_of
 from ..recording import Block
 
@@ -83,7 +83,7 @@ def is_capture(path: Path) -> bool:
 
 
 def packets(
-    file: BinaryIO, place: Place, warnings: list[str], max_back_ns: int
+    file: BinaryIO, place: Location, warnings: list[str], max_back_ns: int
 ) -> Iterator[Packets]:
     """The packets of Ethernet in an open file, in the order of their times where these step back by
     at most so much; a file that is cut or damaged is read up to there, with a warning.

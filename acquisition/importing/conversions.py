@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import Ints
 from ..bus import SUFFIXES, read_log
-from ..errors import Place, listed
+from ..errors import Location, listed
 from ..files import GrowingBytes, atomic_write, by_rows, field_of, kept, taken
 from ..recording import (
     FRAME,
@@ -67,8 +67,8 @@ def import_recording(
     if recording.capture:
         bus = resolve(robot, place)
         header = replace(recording.header, notes=notes, **_bus_header(robot, bus))
-        return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
-    Place(str(path)).require(
+        return import_capture(BytesIO(recording.capture), header, bus, Location(str(path)), out)
+    Location(str(path)).require(
         recording.frames,
         text="holds no frames and is not cut off",
         expected="a recording of drives",
@@ -85,7 +85,7 @@ def import_recording(
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
     """Write what was read of a recording that was cut off."""
     samples = recording.samples
-    Place(str(path)).require(
+    Location(str(path)).require(
         samples is not None or recording.frames or recording.capture,
         text="holds no samples and no frames before its cut: nothing can be repaired",
     )
@@ -139,7 +139,7 @@ def import_log(
             **_bus_header(robot, bus),
         )
         with log.open("rb") as file:
-            return import_capture(file, header, bus, Place(str(log)), out)
+            return import_capture(file, header, bus, Location(str(log)), out)
     described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
     frames, left_out = _select_interface(log, described.channel)
     frames, told = _in_order(frames, described, str(log))
@@ -166,12 +166,12 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
         **{name: f"{len(some)} of {names[name]}" for name, some in frames.items()},
         **{what: f"{count} {what}" for what, count in others.items()},
     }
-    Place(str(path)).require(
+    Location(str(path)).require(
         names,
         text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
         expected="some of classic CAN",
     )
-    Place(str(path)).require(
+    Location(str(path)).require(
         len(names) == 1 or channel in names,
         text=f"frames: {listed([*counts.values()])}",
         expected=f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml",
@@ -192,7 +192,7 @@ def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str
     time_ns, warnings, rows = field_of(frames, "time_ns"), list[str](), frames
     if (np.diff(time_ns) < 0).any():
         time_ns = kept(time_ns)
-        warnings += _go_on(time_ns, Traffic(frames).rows_of(bus.sync_can_id), Place(place))
+        warnings += _go_on(time_ns, Traffic(frames).rows_of(bus.sync_can_id), Location(place))
         if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
             warnings.append(
                 f"times step back at {back} frames: all are put in the order of their times"
@@ -207,7 +207,7 @@ def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str
     return rows, tuple(warnings)
 
 
-def _go_on(time_ns: Ints, syncs: Rows, place: Place) -> Iterator[str]:
+def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
     """Shift the times (m,) in place where they wrap, or the clock was set back by the SYNCs of
     these rows; and say so.
     """

@@ -23,7 +23,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import Place
+from ..errors import Location
 from ..files import atomic_write, field_of, release_pages
 from ..recording import (
     Block,
@@ -114,7 +114,9 @@ def _period_ns(time_ns: Ints) -> float:
     return period
 
 
-def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
+def import_capture(
+    file: BinaryIO, header: Header, bus: Bus, at: Location, out: Path
+) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
     One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive
@@ -167,7 +169,7 @@ def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> I
 
 
 def _on_grid(
-    process: ProcessData, nominal_ns: int, at: Place, warnings: list[str]
+    process: ProcessData, nominal_ns: int, at: Location, warnings: list[str]
 ) -> tuple[Block, Ints, Ints, str, bool]:
     """Rows, the numbers and stamps of those whose cycle is certain; the report on the times;
     whether there is a reference.

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array, Bools
-from ..errors import Place
+from ..errors import Location
 from ..files import by_rows, taken
 from .stamps import smallest_difference
 from .time_base import POSITION, GridValues, interpolate, resample, roundest_rate_hz
@@ -29,7 +29,7 @@ MAX_ODD = 0.05  # of the changes of a quantity where no position is new: it is h
 def grid_of_new_rows(
     time_s: Array,
     parts: Mapping[str, Array],
-    place: Place,
+    place: Location,
     rate_hz: float | None = None,
     largest_gap_periods: float | None = None,
 ) -> GridValues | None:

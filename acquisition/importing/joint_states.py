@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError, Place, listed
+from ..errors import BadInputError, Location, listed
 from ..files import BLOCK_ROWS, GrowingBytes, by_rows
 from .stamps import smallest_difference
 
@@ -26,7 +26,7 @@ MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 class JointStates:
     """Collects joint states. Messages of one publisher have one frame, and names of all joints."""
 
-    def __init__(self, joints: Sequence[str], place: Place) -> None:
+    def __init__(self, joints: Sequence[str], place: Location) -> None:
         self._joints, self.place = list(joints), place
         self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
         self._source: tuple[str, tuple[str, ...]] | None = None
@@ -89,7 +89,7 @@ class JointStates:
         return [names.index(joint) for joint in self._joints]
 
     def _refuse_message(self, problem: str, expected: str) -> NoReturn:
-        Place(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
+        Location(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
 
     def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
         """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
@@ -107,7 +107,7 @@ class JointStates:
         received = not stamps.any()
         # a clock that begins at 0 gives the first stamp 0
         if not received and not stamps[1:].all():
-            Place(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}").refuse(
+            Location(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}").refuse(
                 expected="stamps in all headers or in none", text="a header without a stamp"
             )
         for kind, given in self._given.items():
@@ -145,7 +145,9 @@ class JointStates:
         )
 
 
-def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], place: Place) -> None:
+def _refuse_infinite(
+    kind: str, x: Array, first: int, joints: Sequence[str], place: Location
+) -> None:
     """Refuse numbers that are not finite in x (N, n) from the row `first` on."""
     finite = np.isfinite(x)
     for name, some in zip(joints, finite.T, strict=True):
@@ -157,13 +159,13 @@ def _refuse_infinite(kind: str, x: Array, first: int, joints: Sequence[str], pla
         )
     if not finite[first:].all():
         row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
-        Place(f"{place}: state {row + 1}").refuse(
+        Location(f"{place}: state {row + 1}").refuse(
             f"{kind} of joint {joints[joint]}", float(x[row, joint]), "a finite number"
         )
 
 
 def refuse_several_publishers(
-    position: Array, effort: Array, joints: list[str], place: Place
+    position: Array, effort: Array, joints: list[str], place: Location
 ) -> None:
     """Refuse alternating states of two publishers: single rows without effort, or every other row
     far from its neighbours.

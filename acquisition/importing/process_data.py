@@ -7,7 +7,7 @@ from typing import NamedTuple, NoReturn, TypeAlias
 import numpy as np
 
 from ..arrays import Bools, Ints
-from ..errors import Place, listed
+from ..errors import Location, listed
 from ..files import GrowingBytes, field_of, release_pages
 from ..protocol import ObjectEntry
 from ..recording import Block, in_parts, minimum_ahead
@@ -58,7 +58,7 @@ class Part(NamedTuple):
 class ProcessData:
     """Collects what configures the slaves, and the integers of the drives in process data."""
 
-    def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
+    def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Location) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
         # by datagrams that came back, and that went out
         self._slaves = {True: Slaves(), False: Slaves()}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import Place, listed
+from ..errors import Location, listed
 from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
 from .column_words import AT_JOINT, EFFORTS, FRANKA, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
@@ -52,7 +52,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     """
     scanned = scan_table(table, ROWS)
     maker = next((m for m, x in MAKERS.items() if any(re.search(x, c.name) for c in scanned)), "")
-    columns = _columns(scanned, maker, robot, Place(str(table)))
+    columns = _columns(scanned, maker, robot, Location(str(table)))
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
@@ -116,7 +116,7 @@ def _values(columns: Sequence[_Column], turn: float = 0.0) -> Array:
 
 
 def _columns(
-    scanned: Sequence[TableColumn], maker: str, robot: Robot | None, place: Place
+    scanned: Sequence[TableColumn], maker: str, robot: Robot | None, place: Location
 ) -> list[_Column]:
     """The columns that hold numbers.
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ..arrays import Array, Bools
-from ..errors import Place
+from ..errors import Location
 from ..files import read_columns
 from ..robot import Robot, note
 
@@ -85,7 +85,7 @@ class Source:
 
     tables: Sequence[Path]
     robot: Robot
-    place: Place
+    place: Location
 
     def table(self, key: str, number: int) -> Path:
         """The table with this `number`, from 1."""
@@ -213,7 +213,7 @@ def turn_jumps(x: Array, turn: float) -> Bools:
 
 
 def si_units(
-    units: Sequence[str], n: int, known: Units, key: str, place: Place
+    units: Sequence[str], n: int, known: Units, key: str, place: Location
 ) -> tuple[tuple[str, ...], Array]:
     """SI unit and factor (n,) of each of n units."""
     place.require(
@@ -224,7 +224,7 @@ def si_units(
     return tuple(known[unit][0] for unit in units), np.array([known[unit][1] for unit in units])
 
 
-def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Side:
+def position_side(robot: Robot, side: Side | None, key: str, place: Location) -> Side:
     """The side of positions; by default the joint's if both are equal."""
     side = _side_or_joint(side, _is_identity(robot.R) and not robot.zero.any(), key, place)
     if side == "joint" and robot.zero.any():
@@ -246,13 +246,13 @@ def _is_identity(R: Array) -> bool:
     return np.array_equal(R, np.eye(len(R)))
 
 
-def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Side:
+def _side_or_joint(side: Side | None, same: bool, key: str, place: Location) -> Side:
     place.require(side is not None or same, f"{key}.side", None, "'motor' or 'joint'")
     return side or "joint"
 
 
 def effort_side(
-    robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Place
+    robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Location
 ) -> Side:
     """The side of efforts in the units `given`, which `key` states; by default the one whose units
     are the same.

@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import Place
+from ..errors import Location
 from ..files import by_rows, taken
 
 MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
@@ -85,7 +85,7 @@ def bursts(stamp_s: Array) -> tuple[float, float]:
 
 
 def even_times(
-    stamp_s: Array, q: Array, rate_hz: float, place: Place
+    stamp_s: Array, q: Array, rate_hz: float, place: Location
 ) -> tuple[Array, float | None]:
     """Times (N,) at the stated rate, and the scatter of the stamps about them, if stamps come in
     bursts while positions q (N, n) move evenly; else the stamps, and None.

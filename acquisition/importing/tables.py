@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ..arrays import Array, first_true
-from ..errors import Place
+from ..errors import Location
 from ..files import read_bytes, read_columns, taken, write_columns
 from ..recording import OPTIONAL, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
@@ -89,7 +89,7 @@ def import_tables(
     The file `map_path` assigns columns, units and sides (motor or joint), and says how times are
     read; `payload`: what the robot carried.
     """
-    place = Place(str(map_path))
+    place = Location(str(map_path))
     content = read_bytes(map_path)
     if lines := lines_to_fill_in(content):
         place.refuse(
@@ -166,7 +166,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     is_new = np.concatenate([[True], np.diff(time_s) > 0]) | (time.ticks != FROM_VELOCITY)
     rows = np.flatnonzero(is_new)
     time_s, parts = taken(time_s, rows), {name: taken(x, rows) for name, x in parts.items()}
-    place = Place(
+    place = Location(
         f"{source.table('time.table', time.table)}: "
         f"{time.column if time.ticks is None else time.ticks}"
     )
@@ -258,7 +258,7 @@ def _ticks(
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
     ticks = _column(source, time, name, parts)
     if (row := first_true(ticks != np.rint(ticks))) is not None:
-        Place(f"{source.table('time.table', time.table)}: row {row + 1}").refuse(
+        Location(f"{source.table('time.table', time.table)}: row {row + 1}").refuse(
             str(name), float(ticks[row]), "whole counts"
         )
     return ticks
@@ -276,7 +276,7 @@ def _column(source: Source, time: Time, name: str | int, parts: Mapping[str, Arr
     return np.asarray(column[:, 0])
 
 
-def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
+def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Location) -> float:
     """Standard deviation of stamps about the times of ticks, s; refuses a
     tick of another length.
     """
@@ -296,7 +296,7 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     """
     recording = read_recording(path)
     robot = recording.robot
-    samples = Place(str(path)).given(
+    samples = Location(str(path)).given(
         recording.samples,
         text=recording.no_samples,
         expected="some; `robot-acquire import`, with a corrected --robot, makes them from frames "

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array, Bools, Ints, first_true
-from ..errors import Place
+from ..errors import Location
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
@@ -91,7 +91,7 @@ class GridValues:
         """Stamps (M,) in ns, from 0 if they would begin before 0. Errors name `place`."""
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
-        Place(place).require(
+        Location(place).require(
             start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 and self.rate_hz <= 1e8,
             expected="68 years and 100 MHz at most",
             text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
@@ -134,7 +134,7 @@ def resample(
     *,
     rate_hz: float | None,
     largest_gap_periods: float | None = None,
-    place: Place,
+    place: Location,
 ) -> GridValues:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
@@ -185,7 +185,7 @@ def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
 def rows_to_interpolate(
     time_s: Array,
     parts: Mapping[str, Array],
-    place: Place,
+    place: Location,
     largest_gap_periods: float | None = None,
 ) -> tuple[Array, Mapping[str, Array], TimeReport]:
     """The times and rows that `resample` does not leave out or refuse, and
@@ -216,7 +216,7 @@ def rows_to_interpolate(
 
 
 def _drop_repeated_rows(
-    time_s: Array, parts: Mapping[str, Array], place: Place
+    time_s: Array, parts: Mapping[str, Array], place: Location
 ) -> tuple[Array, Mapping[str, Array], int]:
     """Growing times and their values without repeated rows; the number of repeated rows."""
     steps = np.diff(time_s)
@@ -284,7 +284,7 @@ def rate_warnings(report: TimeReport) -> list[str]:
     return [text for text, holds in found.items() if holds]
 
 
-def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> GridValues:
+def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> GridValues:
     """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not
     grow or leave the grid.
     """

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
-from ..errors import Place
+from ..errors import Location
 from .objects import INTEGERS
 from .transfers import Key
 
@@ -65,7 +65,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     its `problem`, for those who need it. Raises `BadInputError` with `place`, the file's name, and
     the line: a section or a key is there twice, or the file holds no objects.
     """
-    Place(place).require(
+    Location(place).require(
         len(data) <= MAX_DICTIONARY_BYTES,
         text=f"{len(data)} bytes",
         expected=f"{MAX_DICTIONARY_BYTES} at most",
@@ -74,7 +74,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     file = _File(data.decode(encoding, errors="replace"), place, node)
     entries = {key: file.entry(lines, *value) for key, lines, *value in file.contents()}
-    Place(place).require(entries, text="holds no objects", expected="an EDS or DCF")
+    Location(place).require(entries, text="holds no objects", expected="an EDS or DCF")
     about = file.sections.get("DEVICEINFO", {}) | {"datatype": "7"}
     vendor, product = (
         file.entry(about, "DEVICEINFO", key) for key in ("vendornumber", "productnumber")
@@ -116,7 +116,7 @@ class _File:
             self._parser.read_string(self._text)
         except (configparser.DuplicateOptionError, configparser.DuplicateSectionError) as error:
             key = f"holds {error.option!r}" if hasattr(error, "option") else "is there"
-            Place(f"{place}: line {(error.lineno or 1) - 1}").refuse(
+            Location(f"{place}: line {(error.lineno or 1) - 1}").refuse(
                 text=f"[{error.section}] {key} twice", expected="once; remove one"
             )
         self.sections = {name: dict(self._parser[name]) for name in self._parser.sections()}

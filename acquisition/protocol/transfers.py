@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
-from ..errors import NoAnswerError, Place, SdoAbortedError
+from ..errors import Location, NoAnswerError, SdoAbortedError
 from .objects import BITS, ObjectEntry
 
 NOT_VALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID: off; no remote requests
@@ -61,7 +61,7 @@ class Pdo:
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
         """Values by (index, sub-index). Raises `BadInputError` when the frame is too short."""
         if len(data) < self.length:
-            Place(f"PDO 0x{self.can_id:03X}").refuse(
+            Location(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"{len(data)} bytes", expected=str(self.length)
             )
         found = struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data)
@@ -119,13 +119,13 @@ def pdos_of(
         entries = []
         for at, word in words_of(values, mapping + number - 1):
             if isinstance(word, str):
-                Place(place).refuse(
+                Location(place).refuse(
                     text=f"{direction} {number}: {at} {word}",
                     expected=f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')",
                 )
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
-            Place(place).require(
+            Location(place).require(
                 BITS.get(kind) == word & 0xFF,
                 text=f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits",
                 expected="whole bytes of its own type",

@@ -25,7 +25,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from ..errors import Place
+from ..errors import Location
 from ..files import NAMES, GrowingBytes, kind_of
 from .rows import CAPTURE_TOPIC
 from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
@@ -97,11 +97,11 @@ def read_content(path: Path) -> tuple["Content", bool, str]:
         with path.open("rb") as file:
             return _read(_Records(file), path)
     except OSError as error:
-        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+        Location(str(path)).refuse(text=f"cannot be read: {error.strerror}")
 
 
 def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
-    place = Place(str(path))
+    place = Location(str(path))
     if records.first != _MAGIC:
         ending, kind = path.suffix.lower(), kind_of(path).replace("mcap", "")
         place.require(
@@ -219,7 +219,7 @@ class GrowingContent(Content):
 
     def read(self) -> bool:
         """Whether there were new records."""
-        place, before = Place(str(self._path)), self._at
+        place, before = Location(str(self._path)), self._at
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
         except FileNotFoundError:
@@ -325,19 +325,19 @@ def _unpack(chunk: Any) -> bytes:
 def check_metadata(metadata: Mapping[str, str], place: str) -> None:
     """Refuse a recording of a newer version, or with damaged metadata."""
     text = metadata.get("schema_version", "")
-    Place(place).require(
+    Location(place).require(
         re.fullmatch("[0-9]{1,9}", text, re.ASCII) and int(text) >= 1,
         "schema_version",
         text,
         "a whole number from 1",
     )
-    Place(place).require(
+    Location(place).require(
         int(text) <= SCHEMA_VERSION,
         "schema_version",
         int(text),
         f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
     )
-    Place(f"{place}: metadata").require(
+    Location(f"{place}: metadata").require(
         metadata.get("crc32") == metadata_crc(metadata),
         "crc32",
         metadata.get("crc32"),

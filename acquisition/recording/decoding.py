@@ -26,7 +26,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import Place
+from ..errors import Location
 from ..files import kept
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
@@ -217,7 +217,7 @@ def decode(
 
 def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
     rows = traffic.rows_of(bus.file.sync_can_id)
-    Place(place).require(
+    Location(place).require(
         len(rows) >= 2,
         text=f"{len(rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(traffic.frames)} frames",
         expected="many",
@@ -240,7 +240,7 @@ def _frames_of(
     """Return the frames of a PDO, those that repeat one, and the number of those too short."""
     rows, short = traffic.of(pdo)
     rows, again = without_repeats(rows, syncs.rows, traffic.at("data", rows))
-    Place(place).require(
+    Location(place).require(
         len(rows),
         text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
         expected="the drive's answers to SYNC; is it mapped and started?",
@@ -250,13 +250,13 @@ def _frames_of(
 
 def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
     """Refuse frames of which too many are missing for certain rows, or that have too few rows."""
-    Place(place).require(
+    Location(place).require(
         answers.missing_share <= max_missing
         or all(lost["missing"] <= MAX_MISSING_COUNT for lost in answers.losses),
         text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
         expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
     )
-    Place(place).require(
+    Location(place).require(
         len(answers.answered) >= 2,
         text=f"{len(answers.answered)} SYNC answered by all drives",
         expected="many",
@@ -333,7 +333,7 @@ def refuse_period(
         low, high = np.quantile(steps_s, [0.1, 0.9]) * 1e3
         text = f"{what} came {low:.3g} to {high:.3g} ms after the one before"
         expected = "even steps: is each recorded twice, or in another order or clock than it came?"
-    Place(place).refuse(
+    Location(place).refuse(
         text=f"{text}; bus.sync_period_s = {stated_s:g} in robot.toml", expected=expected
     )
 

@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..errors import BadInputError, Place
+from ..errors import BadInputError, Location
 from ..files import atomic_write
 from ..robot import EffortTiming, Payload, Robot, resolve, robot_from_files
 from .content import GrowingContent, Messages, read_content
@@ -165,7 +165,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         blocks that do not fit their layout.
     """
     path = Path(path)
-    place = Place(str(path))
+    place = Location(str(path))
     found, cut, sha256 = read_content(path)
     attachments, topics = found.attachments, found.messages
     note = " (the file is cut before its description)" if cut else ""
@@ -220,13 +220,13 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     text, skipped = blocks.layout, 0
     if (earlier := _EXTRA.fullmatch(text)) is not None:
         text, skipped = f"{earlier[1]}]", int(earlier[2])
-    dtype = Place(place).given(
+    dtype = Location(place).given(
         next((layout for layout in known if repr(layout.descr) == text), None),
         text=f"layout {blocks.layout[:200]!r}",
         expected=str(known[-1].descr),
     )
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
-    Place(place).require(
+    Location(place).require(
         all(end % whole.itemsize == 0 for end in blocks.ends),
         text=f"{blocks.data.tell()} bytes",
         expected=f"blocks of whole rows of {whole.itemsize} bytes",
@@ -266,10 +266,10 @@ def _decode_json(
             for stamp, text in (topics[topic].items() if topic in topics else ())
         ]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        Place(f"{path}: {topic}").refuse(text=str(error))
+        Location(f"{path}: {topic}").refuse(text=str(error))
 
 
-def _rate(metadata: Mapping[str, str], place: Place) -> float:
+def _rate(metadata: Mapping[str, str], place: Location) -> float:
     text = metadata.get("sample_rate_hz", "")
     with suppress(ValueError):
         if 0 < (rate_hz := float(text)) < math.inf:
@@ -277,7 +277,7 @@ def _rate(metadata: Mapping[str, str], place: Place) -> float:
     place.refuse("sample_rate_hz", text, "a positive number")
 
 
-def _payload(metadata: Mapping[str, str], place: Place) -> Payload | None:
+def _payload(metadata: Mapping[str, str], place: Location) -> Payload | None:
     text = metadata.get("payload", "null")
     try:
         return msgspec.json.decode(text, type=Payload | None)
@@ -318,7 +318,7 @@ class RecordingFollower:
         self._path, self.ended, self.problem = path, False, ""
         self._content = GrowingContent(path)
         self._content.read()
-        attachments, place = self._content.attachments, Place(str(path))
+        attachments, place = self._content.attachments, Location(str(path))
         self.metadata = place.given(
             self._content.metadata if "robot.toml" in attachments else None,
             text="has no description yet",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints, first_true
-from ..errors import Place
+from ..errors import Location
 from ..files import by_rows, kept, release_pages
 from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
 from ..robot import Bus, Robot, resolve
@@ -111,7 +111,7 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
         stamps = rows["stamp_ns"]
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
         if (row := first_true(bad)) is not None:
-            Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+            Location(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
                 "stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}"
             )
         after_ns = int(stamps[-1])
@@ -119,7 +119,7 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
-                Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+                Location(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
                     f"{field} of joint {joint + 1}",
                     float(rows[field][row, joint]),
                     "a finite number",
@@ -130,7 +130,7 @@ def check_frames(frames: Block, place: str) -> None:
     """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
     for k, rows in enumerate(in_parts(frames)):
         if (row := first_true((rows["length"] > 8) | (rows["time_ns"] < 0))) is not None:
-            Place(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
+            Location(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
                 text=f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}",
                 expected="8 bytes at most and a time from 0",
             )

@@ -26,7 +26,7 @@ import msgspec
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import Place
+from ..errors import Location
 from ..files import BLOCK_ROWS
 from ..robot import EffortTiming, Payload, Robot
 from .rows import (
@@ -167,7 +167,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
 
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
-        place = Place(f"{self._place}: /samples")
+        place = Location(f"{self._place}: /samples")
         # without what is skipped
         layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])
         place.require(
@@ -211,12 +211,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def frames(self, channel: str, block: Block) -> None:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
-        Place(self._place).require(
+        Location(self._place).require(
             FRAMES_TOPIC.fullmatch(topic),
             text=f"CAN channel {channel!r}",
             expected="letters, digits and _ . - only",
         )
-        Place(f"{self._place}: {topic}").require(
+        Location(f"{self._place}: {topic}").require(
             block.dtype == FRAME, text=f"rows of {block.dtype}", expected=str(FRAME)
         )
         check_frames(block, f"{self._place}: {topic}")
@@ -308,7 +308,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def _json(
         self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
     ) -> None:
-        Place(f"{self._place}: {topic}").require(
+        Location(f"{self._place}: {topic}").require(
             stamp_ns >= 0, "stamp_ns", stamp_ns, "a time from 0"
         )
         self._add(

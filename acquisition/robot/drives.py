@@ -7,7 +7,7 @@ import numpy as np
 
 from .. import protocol as cia
 from ..arrays import Array, first_true
-from ..errors import Place
+from ..errors import Location
 from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .robot import Robot
 
@@ -147,7 +147,7 @@ class Bus:
 def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
     period_s = bus.file.sync_period_s
-    Place(place, "bus").require(
+    Location(place, "bus").require(
         bus.load <= MAX_LOAD,
         "sync_period_s",
         period_s,
@@ -169,7 +169,7 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             counts = drive.position_codec.exact(motors[:, i])
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if (k := first_true(~inside)) is not None:
-                Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
+                Location(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
                     f"target of node {drive.node} ({drive.name})",
                     float(counts[k]),
                     f"{low} to {high}",
@@ -183,7 +183,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
     # service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
-    Place(place, "bus").require(
+    Location(place, "bus").require(
         sync == USUAL_SYNC or sync in FREE_CAN_IDS,
         "sync_can_id",
         sync,
@@ -199,7 +199,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
     for i, drive, way, pdos in ways:
         mapping = f"(mapping = {drive.file.mapping!r})"
         for k, pdo in enumerate(pdos):
-            at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} {mapping}")
+            at = Location(f"{place}: bus.drive[{i}]: {way} {pdo.number} {mapping}")
             at.require(
                 pdo.number not in [other.number for other in pdos[:k]],
                 text=f"number = {pdo.number} is used twice",
@@ -222,7 +222,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
             used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
-def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
+def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
     """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
     # The effort, a torque or a force, shows which; for amperes or volts, the joints
     # that the motor moves.
@@ -262,7 +262,7 @@ def axis_of(drive: Drive) -> int:
         or drive.control.sub
         or drive.status.sub
     ):
-        Place(f"node {drive.node}").refuse(
+        Location(f"node {drive.node}").refuse(
             text=f"control {drive.control} and status {drive.status}",
             expected="those of one axis, such as 6040:0 and 6041:0",
         )
@@ -281,7 +281,7 @@ def check_carriers(bus: Bus) -> None:
     these would be set to 0.
     """
     for drive in bus.drives:
-        at = Place(f"node {drive.node}")
+        at = Location(f"node {drive.node}")
         mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(drive.control), str(drive.target), mode}
         for entry in (drive.control, drive.target):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..errors import Place
+from ..errors import Location
 from .description import Joint
 from .robot import Robot
 
@@ -95,7 +95,7 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     exceeds its limits by over half the joint's range, or a joint is over three times as fast as its
     limit; noise of samples is subtracted.
     """
-    overshoots, at, step_s = [], Place(place), np.diff(stamp_s)
+    overshoots, at, step_s = [], Location(place), np.diff(stamp_s)
     step_s = np.maximum(step_s, np.median(step_s)) if len(step_s) else step_s
     for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += [*_position(joint, stamp_s, x, at), *_speed(joint, stamp_s, step_s, x, at)]
@@ -150,7 +150,7 @@ def check_recorded_velocities(
             f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, "
             f"off by {100 * deviation:.2g} %"
         )
-        Place(place).require(
+        Location(place).require(
             deviation <= MAX_SPEED_DEVIATION or 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN,
             text=text,
             expected="the joint's own speed: check its unit, side, sign and column",
@@ -176,7 +176,7 @@ def _shown(joint: Joint, value: float) -> str:
     return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
 
 
-def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
+def _position(joint: Joint, stamp_s: Array, x: Array, place: Location) -> list[str]:
     limits = joint.si("position")
     if limits is None or not len(x):
         return []
@@ -201,7 +201,7 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     )
 
 
-def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) -> list[str]:
+def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Location) -> list[str]:
     stated = joint.si("speed")
     most = MAX_SPEED_RATIO * stated if stated is not None else MAX_UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array, first_true
-from ..errors import Place
+from ..errors import Location
 from ..files import read_columns
 from .robot import Robot
 
@@ -58,9 +58,9 @@ def fourier_reference(
     The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the
     period is not positive or a joint states no range.
     """
-    Place("").require(period_s > 0, text=f"period {period_s:g} s", expected="more than 0")
+    Location("").require(period_s > 0, text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
-        Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").require(
+        Location(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").require(
             joint.si("position") is not None,
             joint.key("position"),
             None,
@@ -103,7 +103,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     from scipy.interpolate import CubicSpline
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
-    time_s, at = table[:, 0], Place(f"{path}: time_s")
+    time_s, at = table[:, 0], Location(f"{path}: time_s")
     with np.errstate(all="ignore"):  # overflows are refused below
         at.require(
             len(table) >= 2 and (np.diff(time_s) > 0).all(),
@@ -123,7 +123,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         except ValueError:  # rows so close, or numbers so large, that its equations overflow
             q = np.array([np.nan])
     if not np.isfinite(q).all():
-        Place(str(path)).refuse(
+        Location(str(path)).refuse(
             text=(
                 f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
                 f"{np.abs(table[:, 1:]).max():.3g}"
@@ -148,7 +148,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     acceleration, or has none.
     """
     for problem in missing_limits(robot):
-        Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
+        Location(place).refuse(text=problem, expected="one in robot.toml before anything moves")
     # values that are not finite are refused below
     with np.errstate(over="ignore", invalid="ignore"):
         dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s
@@ -164,7 +164,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             slack = MAX_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if (k := first_true(~inside)) is not None:
-                Place(f"{place}: at {k * period_s:.4g} s").refuse(
+                Location(f"{place}: at {k * period_s:.4g} s").refuse(
                     f"{name} of {joint.name}",
                     float(values[k]),
                     f"{bottom:.4g} to {top:.4g}",

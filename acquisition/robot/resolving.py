@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import protocol as cia
-from ..errors import Place
+from ..errors import Location
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
 from .drives import POSITION_TYPE, Bus, Drive, Motion, refuse_counts, refuse_pdos
@@ -37,7 +37,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
     `traffic` is what the drives of a log confirmed, by node: for drives with `mapping = "traffic"`,
     and for a warning where another mapping is not that.
     """
-    written = Place(place).given(
+    written = Location(place).given(
         robot.bus, "bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`"
     )
     seen = traffic or {}
@@ -57,7 +57,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
     bus = Bus(file=written, drives=drives, notes=contradictions)
     refuse_pdos(bus, place)
     for i, file in enumerate(written.drive):
-        refuse_counts(robot, i, file, Place(place, f"bus.drive[{i}]"))
+        refuse_counts(robot, i, file, Location(place, f"bus.drive[{i}]"))
     return bus
 
 
@@ -98,7 +98,7 @@ class _Objects:
     dictionary: cia.ObjectDictionary | None
     types: Mapping[cia.Key, str]
     usable: Collection[cia.Key]
-    at: Place
+    at: Location
 
     def entry(self, key: str, name: str) -> cia.ObjectEntry:
         """Return the object with this name, which a key of the table states."""
@@ -112,7 +112,7 @@ class _Objects:
         return cia.ObjectEntry(index=number[0], sub=number[1], type=self.types[number])
 
 
-def _objects(robot: Robot, file: DriveFile, at: Place) -> _Objects:
+def _objects(robot: Robot, file: DriveFile, at: Location) -> _Objects:
     stated = {parse_object(name): kind for name, kind in file.objects.items()}
     types = cia.STANDARD | stated
     if file.dictionary is None:
@@ -132,7 +132,7 @@ def _objects(robot: Robot, file: DriveFile, at: Place) -> _Objects:
 def _drive(
     robot: Robot, i: int, file: DriveFile, place: str, confirmed: cia.Confirmed | None
 ) -> Drive:
-    at = Place(place, f"bus.drive[{i}]")
+    at = Location(place, f"bus.drive[{i}]")
     objects = _objects(robot, file, at)
 
     # The objects that robot.toml names.
@@ -185,7 +185,7 @@ def _drive(
             if isinstance(text, str) and 0x1800 <= index < 0x1C00
         ]
         reasons += [f": {confirmed.refused}"] if confirmed and confirmed.refused else [""]
-        Place(place).refuse(
+        Location(place).refuse(
             text=f"{at.table}.mapping: no PDO from the drive carries {absent[0]}{reasons[0]}",
             expected=f"one ({file.mapping})",
         )
@@ -258,7 +258,7 @@ def _pack(entries: tuple[cia.ObjectEntry, ...]) -> tuple[PdoFile, ...]:
 
 
 def _effort(
-    file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at: Place
+    file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at: Location
 ) -> cia.EffortCodec:
     kind, usual, meaning = cia.EFFORT_OBJECTS.get(entry.key, ("", "", ""))
     known = kind == entry.type

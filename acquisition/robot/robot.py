@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from ..arrays import Array
-from ..errors import Place
+from ..errors import Location
 from ..files import read_bytes, read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Joint, Motor, RobotFile
@@ -113,7 +113,7 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            Place(f"robot {self.name}").refuse(
+            Location(f"robot {self.name}").refuse(
                 "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
             )
         return self.controller.bandwidth_hz
@@ -192,7 +192,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         With `place` (the file), `key`, `value` and `expected`.
     """
     path = Path(path)
-    place = Place(str(path))
+    place = Location(str(path))
     files = {"robot.toml": read_bytes(path)}
     begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
     text, way_out = _OTHER_FILES.get(begin, ("", ""))
@@ -225,7 +225,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
 
 # A new description may have no key without effect and no guard without effect; recordings that have
 # one can still be read.
-def _refuse_idle_keys(c: Controller, place: Place) -> None:
+def _refuse_idle_keys(c: Controller, place: Location) -> None:
     idle: dict[str | None, tuple[str, ...]] = {
         None: ("sample_rate_hz", *GAINS, "velocity_estimate"),
         "cascade_p_pi": (),
@@ -244,7 +244,7 @@ def _refuse_idle_keys(c: Controller, place: Place) -> None:
         )
 
 
-def _refuse_wide_guards(document: RobotFile, place: Place) -> None:
+def _refuse_wide_guards(document: RobotFile, place: Location) -> None:
     joints = ((f"joint[{i}]", joint, MAX_JOINT_GUARDS) for i, joint in enumerate(document.joint))
     for table, stated, guards in (("bus", document.bus, MAX_BUS_GUARDS), *joints):
         for name, most in guards.items():
@@ -258,7 +258,7 @@ def _companion(path: Path, name: str, key: str) -> bytes:
     try:
         return (path.parent / name).read_bytes()
     except (OSError, ValueError) as error:  # the latter for a zero character in the name
-        Place(str(path)).refuse(
+        Location(str(path)).refuse(
             key, name, text=f"cannot be read: {getattr(error, 'strerror', error)}"
         )
 
@@ -270,7 +270,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     They are `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and
     `dictionary:<name>`; of a dry run `simulated_controller.toml`.
     """
-    at = Place(place)
+    at = Location(place)
     if "robot.toml" not in files:
         at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
     f = parse_toml(files["robot.toml"], RobotFile, place)
@@ -351,7 +351,7 @@ def marks_of_motion(text: str) -> list[int]:
     return found
 
 
-def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tuple[Joint, ...]:
+def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Location) -> tuple[Joint, ...]:
     """Joints without an effort limit get that of the URDF, unless it is 0 or missing."""
     try:
         # not of transmissions

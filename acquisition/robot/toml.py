@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import msgspec.inspect
 
-from ..errors import Place
+from ..errors import Location
 
 T = TypeVar("T")
 
@@ -52,7 +52,7 @@ class InvalidValueError(ValueError):
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; errors have `place`, key, value and what was expected."""
-    file = Place(place)
+    file = Location(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
         file.refuse(

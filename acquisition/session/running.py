@@ -26,7 +26,7 @@ from ..bus import (
     second_stop,
     service_of,
 )
-from ..errors import COMMAND_LINE, Place, RefusedError, RobotIdimError
+from ..errors import COMMAND_LINE, Location, RefusedError, RobotIdimError
 from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import (
@@ -94,7 +94,7 @@ def record(
     of options, description, bus or file are raised as `RobotIdimError` before it runs.
     """
     refuse_taken(out)
-    file = Place(place).given(
+    file = Location(place).given(
         robot.bus,
         "bus",
         None,
@@ -107,7 +107,7 @@ def record(
             place="--passive",
             expected="no --track and no --dry-run",
         )
-    Place(place).require(
+    Location(place).require(
         options.passive or not file.mapped_by_traffic,
         "mapping",
         "traffic",
@@ -157,7 +157,7 @@ def _task_of(
     robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface
 ) -> Task:
     """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
-    Place("--track").require(
+    Location("--track").require(
         options.track is None or options.duration_s is None,
         text="lasts as long as its reference",
         expected="no --duration",
@@ -180,7 +180,7 @@ def _task_of(
     if options.dry_run:
         return task
     lines = lines_to_fill_in(robot)
-    Place("robot.toml").require(
+    Location("robot.toml").require(
         not lines, "lines", lines, "none in [bus], [[motor]] and limits of joints", text=FILL_IN
     )
     return replace(
@@ -375,7 +375,7 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
     heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
     where no frame is left.
     """
-    at = Place(place)
+    at = Location(place)
     at.require(recording.frames, text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")

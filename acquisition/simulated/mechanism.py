@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ..arrays import Array, Bools
-from ..errors import BadInputError, Place
+from ..errors import BadInputError, Location
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
@@ -241,7 +241,7 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
     try:
         plant_of: Callable[[Robot, Payload | None], tuple[Plant, LoopGains]] = plants[0].load()
     except (ImportError, AttributeError) as error:
-        Place(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
+        Location(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
     plant, loops = plant_of(robot, payload)
     return DrivenPlant(plant=plant, loops=loops)
 

@@ -13,14 +13,14 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from acquisition.commands import Progress, add_path
-from acquisition.errors import Place, one_line
+from acquisition.errors import Location, one_line
 
 from ..options import workers
 
 if TYPE_CHECKING:
     from .. import data, report, view
 
-COMMAND_LINE = Place("")  # of errors about options
+COMMAND_LINE = Location("")  # of errors about options
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
@@ -168,7 +168,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        Place(str(out)).refuse(text=f"cannot be created: {error.strerror}", expected="a folder")
+        Location(str(out)).refuse(text=f"cannot be created: {error.strerror}", expected="a folder")
 
 
 def refuse_outputs(
@@ -189,7 +189,7 @@ def refuse_outputs(
     from acquisition.files import refuse_clash
 
     if report is not None:
-        Place(str(report)).require(
+        Location(str(report)).require(
             report.suffix in (".md", ".html"), "ending", report.suffix, ".md or .html"
         )
     refuse_clash(
@@ -197,7 +197,7 @@ def refuse_outputs(
     )
     for output in (*outputs, report, *of_kinds.values()):
         if output is not None:
-            Place(str(output)).require(
+            Location(str(output)).require(
                 output.absolute().parent.is_dir(),
                 text=f"no folder {output.parent}",
                 expected="an existing folder",

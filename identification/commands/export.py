@@ -3,7 +3,7 @@
 import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
-from acquisition.errors import Place
+from acquisition.errors import Location
 
 from .arguments import print_results, refuse_outputs
 
@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the requested files, and print what each format cannot represent."""
     outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
-    Place("export").require(
+    Location("export").require(
         any(outputs.values()),
         text="nothing to write",
         expected="--urdf, --mjcf or --toml with a file",

@@ -5,7 +5,7 @@ marks what has changed.
 import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
-from acquisition.errors import Place
+from acquisition.errors import Location
 
 from .arguments import (
     add_method,
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     if none could be fitted.
     """
     out, ending = options.out, options.out.suffix
-    Place(str(out)).require(ending in (".parquet", ".csv"), "ending", ending, ".parquet or .csv")
+    Location(str(out)).require(ending in (".parquet", ".csv"), "ending", ending, ".parquet or .csv")
     refuse_outputs([options.robot], out)
     with Progress("reading") as progress:
         from ..study import fleet_document, found_recordings, run_fleet, write_table

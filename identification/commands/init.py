@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
-from acquisition.errors import Place, one_line
+from acquisition.errors import Location, one_line
 
 from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import COMMAND_LINE, refuse_outputs
@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> None:
 
     out = options.out
     refuse_outputs([options.robot, options.bus], toml=out)
-    Place(str(out)).require(
+    Location(str(out)).require(
         out is None or not out.exists() or options.overwrite,
         text="already exists",
         expected="a new name, or --overwrite",
@@ -196,7 +196,7 @@ def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[st
     given = (
         efforts_of_scan(bus, str(options.bus)) if options.bus is not None else [""] * len(stated)
     )
-    Place(str(options.bus)).require(
+    Location(str(options.bus)).require(
         len(given) == len(stated),
         "drives",
         len(given),

@@ -5,7 +5,7 @@ from hashlib import sha256
 from time import perf_counter
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
-from acquisition.errors import Place
+from acquisition.errors import Location
 
 from ..options import CellOptions, StudyOptions, list_of_noises
 from . import arguments as shared
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> None:
     shared.refuse_outputs([options.input, options.robot], json=options.json, report=options.report)
     recorded = is_recording(options.input)
     for action in (options.simulated if recorded else options.recorded)._group_actions:
-        Place(str(options.input)).require(
+        Location(str(options.input)).require(
             getattr(options, action.dest) in (None, False),
             text=f"{action.option_strings[0]} has no effect on "
             f"{'a recording' if recorded else 'a simulated robot'}",
@@ -93,7 +93,7 @@ def _of_robot(options: argparse.Namespace) -> None:
             runs.append(one)
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
-    Place(str(options.input)).require(
+    Location(str(options.input)).require(
         any(run.ls for run in runs), text=f"no run can be fitted: {runs[0].reason}"
     )
     document = study_document(robot.name, study, runs, true)

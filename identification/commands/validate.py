@@ -4,7 +4,7 @@ import argparse
 from hashlib import sha256
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
-from acquisition.errors import Place
+from acquisition.errors import Location
 
 from ..options import Overrides, above_zero
 from . import arguments as shared
@@ -39,7 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit; 3 if they are larger than allowed."""
     *others, last = map(str, (options.fit, *options.recordings))
-    Place(str(options.fit)).require(
+    Location(str(options.fit)).require(
         options.fit.suffix == ".json" or options.recordings[-1].suffix != ".json",
         text="is no fit",
         expected=f"the fit first: `robot-identify validate {last} {' '.join(others)}`",

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
-from acquisition.errors import Place
+from acquisition.errors import Location
 
 from ..options import Overrides
 from .arguments import COMMAND_LINE, add_recordings, print_results, refuse_outputs, sources
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> None:
 def _fit(options: argparse.Namespace) -> None:
     """Write the report of a stored fit, with its curves on the recording `--log`."""
     for name in ("robot", "payload", "cutoff_hz", "follow", "fit"):
-        Place(f"--{name.replace('_', '-')}").require(
+        Location(f"--{name.replace('_', '-')}").require(
             not getattr(options, name), text="has no effect on a fit", expected="a recording"
         )
     path = options.recordings[0]
@@ -97,7 +97,7 @@ def _fit(options: argparse.Namespace) -> None:
         str(out),
         "FILE.html, FILE.md or FILE.rrd",
     )
-    Place(str(path)).require(
+    Location(str(path)).require(
         options.log or out.suffix != ".rrd",
         text="has no curves",
         expected="--log LOG.mcap for a .rrd",

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Block, Recording, in_gaps, measured_rows, read_recording
 from acquisition.robot import (
@@ -113,7 +113,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 def _read(path: Path) -> tuple[Recording, Block]:
     """Read a recording that is whole, and its samples, of which there must be some."""
     recording = read_recording(path)
-    Place(str(path)).require(
+    Location(str(path)).require(
         not recording.cut,
         expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
         text="is cut off",
@@ -172,7 +172,7 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
         for of in (was, robot)
     )
     for (key, before), (_, now) in zip(*units, strict=True):
-        Place(str(path)).require(
+        Location(str(path)).require(
             before == now, f"unit of {key} in robot {robot.name}", now, f"{before}, as recorded"
         )
 
@@ -185,7 +185,7 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
     the rows.
     """
-    Place(str(path)).require(len(since) >= 2, "samples", len(since), "a trajectory")
+    Location(str(path)).require(len(since) >= 2, "samples", len(since), "a trajectory")
     steps = np.diff(since)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
@@ -302,7 +302,7 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
     """Refuse recordings of different robots, or the same recording twice."""
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
-        place = Place(other.recording)
+        place = Location(other.recording)
         place.require(
             not other.sha256 or other.sha256 not in seen,
             expected="each recording once",

@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL, Event, measured_rows
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
@@ -84,7 +84,7 @@ class Signals:
     motion_hz: float | None = None
 
     def __post_init__(self) -> None:
-        (N, n), place = self.q.shape, Place(self.recording)
+        (N, n), place = self.q.shape, Location(self.recording)
         parts = {name: of for name in COLUMNS if (of := getattr(self, name)) is not None}
         for name, array in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
@@ -169,7 +169,7 @@ def signals_from_arrays(
     from acquisition.importing import grid_of_new_rows
 
     for name in columns:
-        Place(NAME).require(name in OPTIONAL, name, expected=f"columns {', '.join(OPTIONAL)}")
+        Location(NAME).require(name in OPTIONAL, name, expected=f"columns {', '.join(OPTIONAL)}")
     _refuse_rate(sample_rate_hz)
     of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
@@ -195,7 +195,7 @@ def signals_from_arrays(
         sha256=digest.hexdigest(),
         **arrays,
     )
-    held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, Place(NAME))
+    held = grid_of_new_rows(signals.t_s, {**arrays, "position": signals.q}, Location(NAME))
     if held is not None:
         fewer: dict[str, Any] = {name: held.parts[name] for name in arrays}
         signals = replace(
@@ -230,7 +230,7 @@ def _refuse_rate(rate_hz: float) -> None:
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
         step = float(np.median(np.diff(rate.ravel()) / unit))
         doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
-    Place(NAME).require(
+    Location(NAME).require(
         not rate.ndim and rate.dtype.kind in "iuf" and 0 < rate_hz < np.inf,
         "sample_rate_hz",
         rate_hz,
@@ -238,7 +238,7 @@ def _refuse_rate(rate_hz: float) -> None:
         text=doubt,
         shown=f"{rate.size} values" if rate.size > 1 else "",
     )
-    Place(NAME).require(
+    Location(NAME).require(
         rate_hz >= 1,
         "sample_rate_hz",
         rate_hz,
@@ -254,7 +254,7 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
         raise BadInputError(
             str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})"
         ) from error
-    Place(NAME).require(
+    Location(NAME).require(
         copied.ndim == 2 and copied.shape[1] == n and len(copied) >= 2,
         f"{name}.shape",
         copied.shape,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.files import find_mesh, write_columns
 from acquisition.robot import (
     HARMONICS,
@@ -241,7 +241,7 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
     count = math.floor(max_hz * settings.period_s + 1e-9)
     fewer = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
     longer = f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
-    Place(place).require(
+    Location(place).require(
         highest_hz <= max_hz * (1 + 1e-9),
         "harmonics",
         settings.harmonics,
@@ -259,7 +259,7 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         most, effort = int(used.argmax()), limits.effort
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
-        Place(place).refuse(
+        Location(place).refuse(
             text=f"{limits.names[most].removeprefix('effort of ')} needs {held:.4g} "
             f"{effort.units[worst]} to leave rest in the middle of the ranges",
             expected=f"at most {100 * limits.share:g} % of the effort limit of "

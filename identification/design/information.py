@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.robot import Payload, Robot
 
 from .. import model as dynamics
@@ -64,7 +64,7 @@ def prior_information(
     payload: Payload | None = None,
 ) -> PriorInformation:
     """Information from files and options: a fit's parameters, else those of the description."""
-    Place("").require(
+    Location("").require(
         noise is None or len(noise) in (1, robot.n),
         "--noise",
         ",".join(f"{x:g}" for x in (() if noise is None else noise)),
@@ -119,7 +119,7 @@ def loads_of(
     empty without parameters.
     """
     payload = knowledge.payload
-    Place(place).require(
+    Location(place).require(
         payload is None or (knowledge.beta is not None and model.robot.gain_known),
         "--payload",
         payload and payload.text,
@@ -181,7 +181,7 @@ def earlier_information(
     for signals in recordings:
         problem = regression.make_problem(signals, regression.Overrides())
         own = problem.base.without(dynamics.load_parameters(problem.base))
-        Place(signals.recording).require(
+        Location(signals.recording).require(
             (own.names, own.units, own.expressions) == (base.names, base.units, base.expressions),
             "robot",
             signals.robot.name,
@@ -300,7 +300,7 @@ def _inverse(M: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError):
-        Place("").refuse(
+        Location("").refuse(
             text="no reference within the limits excites all parameters",
             expected="wider limits, or fewer friction terms",
         )

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limits
 
 from ..arrays import Array, Ints
@@ -196,7 +196,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     for (i, joint), (kind, tail) in product(
         enumerate(robot.joints), zip(KINDS, ("", "_s", "_s2"), strict=True)
     ):
-        Place(place).require(
+        Location(place).require(
             joint.si(kind) is not None,
             f"joint[{i}].{kind}_{'deg' if joint.type == 'revolute' else 'm'}{tail}",
             text=f"joint {joint.name} states none",
@@ -213,7 +213,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     for name, unit, friction, limit in zip(
         limits.names, limits.units, coulomb, limits.limits, strict=True
     ):
-        Place(place).require(
+        Location(place).require(
             friction < share * limit,
             text=f"{name}: Coulomb friction of {friction:.4g} {unit}",
             expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",

@@ -13,7 +13,7 @@ from itertools import combinations
 import msgspec
 import numpy as np
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
 from .. import estimation, methods, results, trust
@@ -266,7 +266,7 @@ class Trials:
             if lost
         }
         left = len(self.names) - len(self.unpredicted)
-        Place("").require(
+        Location("").require(
             left >= MIN_PARTS,
             "parts held out",
             left,

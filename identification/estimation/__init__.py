@@ -9,6 +9,7 @@ from .confidence import (
     WHITE_COSINES,
     Intervals,
     by_rows_alone,
+    changes_of,
     combined,
     cosines,
     covariance_of_all,
@@ -17,7 +18,6 @@ from .confidence import (
     differs,
     intervals_from,
     intervals_of,
-    moves_of,
     not_below_white,
 )
 from .consistency import (

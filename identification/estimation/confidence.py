@@ -204,7 +204,7 @@ def covariance_of_all(
     return covariance
 
 
-def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
+def changes_of(system: System, columns: Array, estimate: Estimate) -> Array:
     """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
     that the estimate holds.
     """

@@ -15,9 +15,9 @@ from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     Intervals,
+    changes_of,
     intervals_from,
     intervals_of,
-    moves_of,
     not_below_white,
 )
 from ..model import direct_model, why_not_positive
@@ -36,12 +36,12 @@ from ..report import (
     FTest,
     Method,
     Status,
-    TrustLine,
+    TrustResult,
     base_name,
     is_base,
 )
 from ..simulation import Simulated
-from ..trust import FIXED_POINT, POSITION_NOISE, FitData, control_law_line, fixed_point_line
+from ..trust import FIXED_POINT, POSITION_NOISE, TrustInputs, control_law_line, fixed_point_line
 from .iteration import MIN_F, Loop
 from .model import Model
 from .passes import Pass, join_reasons
@@ -76,7 +76,7 @@ class Solution:
 
     model: Model
     x: Array
-    inputs: FitData
+    inputs: TrustInputs
     least_squares: Pass
     essential: FTest
     simulated: tuple[Simulated, ...] = ()
@@ -102,16 +102,16 @@ def inputs_of(
     x: Array,
     full: Estimate,
     essential: FTest,
-) -> FitData:
+) -> TrustInputs:
     """Inputs of the trust tests of a solution and its x (p,), with the columns of candidates in
     its rows; `full`, `essential`: least squares of all parameters, and those essential by it.
     """
     estimate, unknowns, rows = solved.estimate, model.unknowns, solved.kept
     candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
     lags = counted_lags(model, solved.lags, rows, estimate)
-    within = held_and_counted(model, estimate, rows, lags)
+    within = intervals_with_given_uncertainty(model, estimate, rows, lags)
     problems = model.concluded(x)
-    return FitData(
+    return TrustInputs(
         problems=problems,
         arms=unknowns.arms,
         observed=rows,
@@ -134,14 +134,14 @@ def counted_lags(
     model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
     """The lags with their recordings, and the moves of an estimate by one deviation of each."""
-    moves, names = moves_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
+    moves, names = changes_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
     return tuple(
         replace(lag, moved=lag.sd_s * np.abs(move), recordings=tuple(names[k] for k in group))
         for lag, group, move in zip(lags, model.unknowns.groups, moves.T, strict=True)
     )
 
 
-def held_and_counted(
+def intervals_with_given_uncertainty(
     model: Model, estimate: Estimate, rows: Rows, lags: Sequence[Lag]
 ) -> Intervals:
     """Intervals that include how well lags, stated drive gains, masses, and centres of mass
@@ -152,7 +152,7 @@ def held_and_counted(
     if of.held:
         places = [of.names.index(name) for name in estimate.names]
         half = np.array([[one.half] for one in of.held])
-        moves = moves_of(rows.system, rows.L[:, : len(of.held)], estimate).T
+        moves = changes_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
     sigma = np.hypot.reduce([not_below_white(estimate, found), *moved])
@@ -279,7 +279,7 @@ def largest(percents: list[float | None]) -> float | None:
 
 def position_noise_line(
     problem: Problem, method: Method, ls: Pass, essential: FTest, *, alone: bool
-) -> TrustLine | None:
+) -> TrustResult | None:
     """Bias of least squares by position noise, in half-widths.
 
     Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric

@@ -16,7 +16,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import NoFitError, Place
+from acquisition.errors import Location, NoFitError
 
 from ..arrays import Array, Bools, Ints
 
@@ -34,7 +34,7 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
     `cutoff_hz` is of one direction.
     """
-    Place("").require(
+    Location("").require(
         0 < cutoff_hz < sample_rate_hz / 2,
         "cut-off",
         cutoff_hz,

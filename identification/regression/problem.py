@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.files import release_pages
 from acquisition.robot import Robot
 
@@ -196,7 +196,7 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     """
     names, place = (
         {motor.name: motor.gain for motor in signals.robot.motors},
-        Place(f"robot {signals.robot.name}"),
+        Location(f"robot {signals.robot.name}"),
     )
     for name in gains:
         place.require(name in names, "gains", name, f"one of {', '.join(names)}")

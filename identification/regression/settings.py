@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from acquisition.errors import NoFitError, Place
+from acquisition.errors import Location, NoFitError
 from acquisition.robot import (
     Edges,
     LowSpeed,
@@ -260,7 +260,7 @@ def make_settings(
 def _refuse_low_rate(signals: Signals) -> None:
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
-    Place(signals.recording).require(
+    Location(signals.recording).require(
         fs > least_hz,
         "sample_rate_hz",
         fs,
@@ -278,7 +278,7 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
     asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
-    Place(signals.recording).require(
+    Location(signals.recording).require(
         stated_hz is None or asked_hz < fs / 2,
         "cut-off",
         asked_hz,

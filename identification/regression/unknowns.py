@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Ints
@@ -322,7 +322,7 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 def _own_places(problem: Problem, kind: str) -> list[int]:
     """Places of the base parameters of a kind, each of which stands alone."""
     base, model, found = problem.base, problem.model, list[int]()
-    place, key = Place(f"robot {problem.signals.robot.name}"), "identification.own"
+    place, key = Location(f"robot {problem.signals.robot.name}"), "identification.own"
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
     place.require(
         columns,

@@ -41,7 +41,7 @@ from .fit_file import (
     RecordingOfFit,
     Status,
     TorqueResidual,
-    TrustLine,
+    TrustResult,
     ValidationFile,
     Verdict,
     known,

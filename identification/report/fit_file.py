@@ -108,7 +108,7 @@ class Assumed(msgspec.Struct, frozen=True):
     why: str
 
 
-class TrustLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One test of a fit.
 
     Attributes:
@@ -127,7 +127,7 @@ class TrustLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     test: str
     level: Level
-    value: float | None = None
+    value: float | None
     text: str
     finding: str = ""
     figures: tuple[tuple[str, float | None, float | None, float | None], ...] = ()
@@ -268,7 +268,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     method_reason: str | UnsetType = UNSET
     assumed: list[Assumed] | UnsetType = UNSET
     lag: LagFile | UnsetType = UNSET
-    trust: list[TrustLine] | UnsetType = UNSET
+    trust: list[TrustResult] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
     prior_source: str | UnsetType = UNSET
     prior_held_out_error_percent: float | UnsetType | None = UNSET
@@ -301,7 +301,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         return len(self.parameters) + len(self.left_out or ())
 
     @property
-    def line_of(self) -> dict[str, TrustLine]:
+    def line_of(self) -> dict[str, TrustResult]:
         """The tests by name, worst first."""
         return {line.test: line for line in self.trust or ()}
 

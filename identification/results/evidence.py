@@ -32,7 +32,7 @@ from ..report import (
     is_base,
 )
 from ..simulation import Simulated, open_loop
-from ..trust import FitData, HeldOut, Trust
+from ..trust import HeldOut, Trust, TrustInputs
 
 Found = TypeVar("Found", Estimate, Intervals)
 
@@ -103,7 +103,7 @@ class Evidence:
     """
 
     solution: Solution
-    data: FitData
+    data: TrustInputs
     recordings: tuple[FitOnRecording, ...]
     errors: tuple[TorqueResidual, ...]
     warnings: tuple[str, ...]

@@ -25,7 +25,7 @@ from ..methods import Iteration, Model, ProgressCallback, Solution, solve
 from ..model import LINK
 from ..regression import ROWS, Overrides, Problem, sample_weights
 from ..report import DriveGain, FTest, Method, PayloadOfFit, base_name
-from ..trust import MIN_FIRST_STAGE_F, FitData, trust_in, with_predictions
+from ..trust import MIN_FIRST_STAGE_F, TrustInputs, trust_in, with_predictions
 from .consistent import standard_parameters
 from .evidence import Evidence, FitOnRecording, errors_on
 
@@ -216,7 +216,7 @@ def _gain_warnings(signals: Signals) -> tuple[str, ...]:
     return (f"{text}; {shared}",)
 
 
-def smallest_cragg_donald(data: FitData) -> float:
+def smallest_cragg_donald(data: TrustInputs) -> float:
     """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
     and L, per instrument.
 
@@ -237,7 +237,7 @@ def smallest_cragg_donald(data: FitData) -> float:
     return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
 
 
-def gains_of(model: Model, data: FitData) -> tuple[DriveGain, ...]:
+def gains_of(model: Model, data: TrustInputs) -> tuple[DriveGain, ...]:
     """The drive gains that were identified, in the order of their motors."""
     of, robot = model.unknowns, model.problem.signals.robot
     motors, places = [*of.motors], [data.estimate.names.index(name) for name in of.names[of.gains]]
@@ -256,7 +256,7 @@ def gains_of(model: Model, data: FitData) -> tuple[DriveGain, ...]:
     )
 
 
-def payloads_of(model: Model, data: FitData) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
+def payloads_of(model: Model, data: TrustInputs) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
     """The payloads as the nearest bodies of positive density, and warnings of those that are near
     none.
     """

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Bools
@@ -301,7 +301,7 @@ def described_robot(
     """
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
-    Place(f"robot {robot.name}").require(
+    Location(f"robot {robot.name}").require(
         payload is None or robot.gain_known,
         "payload",
         str(payload),

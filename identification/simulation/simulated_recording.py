@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.files import allocate, release_pages
 from acquisition.robot import Joint
 
@@ -379,7 +379,7 @@ def refuse_instants(problem: Problem, period_s: float, duration_s: float, subste
             f"at least {MIN_INSTANTS} instants",
         ),
     ):
-        Place(f"robot {signals.robot.name}").require(
+        Location(f"robot {signals.robot.name}").require(
             not wrong,
             "controller.sample_rate_hz",
             1 / period_s,

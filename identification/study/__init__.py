@@ -17,7 +17,7 @@ from .demo import (
     truth_document,
 )
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
-from .sensitivity import Variant, VariedFit, fit_variant, moves_of, sensitivity_document, vary
+from .sensitivity import Variant, VariedFit, changes_of, fit_variant, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 from .study import (
     FALSE_TRUST,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.bus import Master
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.files import atomic_write
 from acquisition.robot import Payload, Robot, resolve, robot_from_files
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
@@ -54,7 +54,9 @@ def record_simulated_session(
     `robot`; the recording has `described`, by default the same. Raises `BadInputError`: a
     description without `[bus]` or values, a failed session.
     """
-    period_s = Place(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
+    period_s = (
+        Location(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
+    )
     model, described = true_model(robot), described or robot
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
@@ -88,7 +90,7 @@ def record_simulated_session(
         log.finish(simulated.now_ns())
     finally:
         log.close()
-    Place(str(out)).require(
+    Location(str(out)).require(
         not outcome.fault, text=f"the simulated session failed: {outcome.reason}"
     )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from acquisition.errors import Place, RobotIdimError
+from acquisition.errors import Location, RobotIdimError
 from acquisition.files import atomic_write
 from acquisition.robot import load_robot
 
@@ -65,7 +65,9 @@ def found_recordings(
     for folder in folders:
         # hidden ones are being written
         new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}
-        Place(str(folder)).require(new, text="no recordings", expected="a folder with files *.mcap")
+        Location(str(folder)).require(
+            new, text="no recordings", expected="a folder with files *.mcap"
+        )
         files |= new
     for file in sorted(files):
         found.setdefault(file.parent if by_folder else file, []).append(

@@ -129,7 +129,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     )
 
 
-def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
+def changes_of(fits: Sequence[VariedFit], name: str) -> Array:
     """(fits, 4) moves of LS and of IV from the fit by the rules, in half-widths of IV there, and in
     their own; NaN without.
     """
@@ -145,7 +145,7 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     """
     names = fits[0].essential or tuple(fits[0].values)
     # (parameters, fits, both methods twice)
-    moves = np.nan_to_num([moves_of(fits, name) for name in names])
+    moves = np.nan_to_num([changes_of(fits, name) for name in names])
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
     rows = list[Row]()
     for k, fit in list(enumerate(fits))[1:]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.files import BLOCK_ROWS, allocate, atomic_write, by_rows
 from acquisition.recording import OPTIONAL, Header, RecordingWriter
 from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
@@ -123,7 +123,7 @@ def random_reference(
     and for more than a day of them.
     """
     samples = duration_s * sample_rate_hz
-    Place(f"{duration_s:g} s at {sample_rate_hz:g} Hz").require(
+    Location(f"{duration_s:g} s at {sample_rate_hz:g} Hz").require(
         MIN_SAMPLES <= samples <= MAX_SAMPLES,
         text=f"{samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}",
     )
@@ -158,7 +158,7 @@ def closed_loop(
         )
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
-    Place(f"robot {robot.name}").require(
+    Location(f"robot {robot.name}").require(
         abs(loop.period_s * sample_rate_hz - 1) <= 1e-9,
         text=f"controller.sample_rate_hz = {1 / loop.period_s:g}",
         expected=f"{sample_rate_hz:g}, the rate of the simulated recording",

@@ -26,10 +26,10 @@ import numpy as np
 
 from ..arrays import Array, Bools
 from ..estimation import Estimate, deviations_of_sums, orthonormal, release_memory
-from ..report import Assumed, TrustLine
+from ..report import Assumed, TrustResult
 from . import kinds
 from .candidates import MIN_T, MissingTerm
-from .evidence import Case, FitData, Words, assume
+from .evidence import Case, TrustInputs, Words, assume
 
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
@@ -46,7 +46,7 @@ MIN_RIVAL = 0.8  # of what the first kind takes: another that takes as much may 
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
 
 
-def added_columns_test(evidence: FitData) -> TrustLine | None:
+def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether the model lacks a term: friction, a rotor, an offset, a spring, a tilt, a zero,
     a gain, a lag, clocks.
     """
@@ -144,7 +144,7 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     return together + MAX_TIE_PERCENT * (term.kind in AHEAD), term.taken_percent
 
 
-def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
+def missing_terms(evidence: TrustInputs) -> tuple[MissingTerm, ...]:
     """All columns that are independent of W; and zeros and rotors in its span,
     which bias the parameters.
 
@@ -169,7 +169,7 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
 
 
 def _scored(
-    evidence: FitData, kind: str, terms: Sequence[MissingTerm], *, fast: bool
+    evidence: TrustInputs, kind: str, terms: Sequence[MissingTerm], *, fast: bool
 ) -> list[MissingTerm]:
     """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
     which a lag shows only, and clocks beside the common lag, which its prior holds.
@@ -210,7 +210,7 @@ def _scored(
     ]
 
 
-def _by_fast_rows(evidence: FitData, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:
+def _by_fast_rows(evidence: TrustInputs, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:
     """The estimate, its W, and the weights (r,) 0 or 1 of rows, without the slow rows in which a
     term acts; clocks with a column for the common lag.
     """
@@ -225,7 +225,7 @@ def _by_fast_rows(evidence: FitData, kind: str, acts: Bools) -> tuple[Estimate, 
     return fit, W, rows
 
 
-def _usable(evidence: FitData, kind: str, C: Array, z: Array) -> tuple[Bools, Bools]:
+def _usable(evidence: TrustInputs, kind: str, C: Array, z: Array) -> tuple[Bools, Bools]:
     """Which columns are independent of W, and which terms are kept: also a zero that acts at all,
     and a rotor in the span of W but for rounding, which is a part of a link's parameter.
     """
@@ -236,7 +236,7 @@ def _usable(evidence: FitData, kind: str, C: Array, z: Array) -> tuple[Bools, Bo
     return independent, left > MIN_BIAS * norm if kind == kinds.ROTOR else independent
 
 
-def _moves(evidence: FitData, shifts: Array) -> Array:
+def _moves(evidence: TrustInputs, shifts: Array) -> Array:
     """(k,) the largest shifts of essential parameters, in half-widths, of those (b, k) of beta."""
     counts = np.isin(evidence.estimate.names, evidence.essential)[:, None]
     within = np.where(counts, evidence.intervals.half[:, None], np.inf)
@@ -252,7 +252,7 @@ def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
     return np.asarray(np.maximum((MIN_T + MARGIN_T) * sigma, large))
 
 
-def _columns(evidence: FitData, terms: Sequence[MissingTerm]) -> Array:
+def _columns(evidence: TrustInputs, terms: Sequence[MissingTerm]) -> Array:
     """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
     if terms[0].column >= 0:
         return evidence.observed.C[:, [term.column for term in terms]]

@@ -15,8 +15,8 @@ from msgspec import structs
 from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
-from ..report import TrustLine
-from .evidence import LEVELS, Case, FitData, Words, assume, figures_of, worst_of
+from ..report import TrustResult
+from .evidence import LEVELS, Case, TrustInputs, Words, assume, figures_of, worst_of
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
@@ -26,14 +26,14 @@ COMMON = 0.02  # spread of the gains' factors, for one scale of the effort
 LETTERS = ("Kp", "Kd", "Ki")
 
 
-def lag_test(evidence: FitData) -> TrustLine | None:
+def lag_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether torque and motion are synchronous, or the cost of not knowing it; the
     line of the worst group.
     """
     return worst_of(_line_of_lag(evidence, lag) for lag in evidence.lags)
 
 
-def _line_of_lag(evidence: FitData, lag: Lag) -> TrustLine | None:
+def _line_of_lag(evidence: TrustInputs, lag: Lag) -> TrustResult | None:
     moved, name = _largest_move(evidence, lag)
     fs, prior, value_ms = 1 / lag.period_s, lag.prior or lag, 1e3 * lag.value_s
     late, half, sd_ms = lag.value_s * fs, lag.half_width_s * fs, 1e3 * lag.sd_s
@@ -145,7 +145,7 @@ LAG = Words(
 )
 
 
-def _largest_move(evidence: FitData, lag: Lag) -> tuple[float, str]:
+def _largest_move(evidence: TrustInputs, lag: Lag) -> tuple[float, str]:
     """The essential parameter that a deviation of the lag moves most, and how far, in half-widths
     without the lag.
     """
@@ -159,7 +159,7 @@ def _largest_move(evidence: FitData, lag: Lag) -> tuple[float, str]:
 
 def control_law_line(
     problems: Sequence[Problem], laws: Sequence[FoundLaw | None]
-) -> TrustLine | None:
+) -> TrustResult | None:
     """Whether the described controllers give the recorded efforts: the line
     of the worst recording.
     """
@@ -180,7 +180,7 @@ def control_law_line(
     )
 
 
-def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine | None:
+def law_line(problem: Problem, law: FoundLaw | None) -> TrustResult | None:
     """Return the line of a recording."""
     signals, controller = problem.signals, problem.signals.robot.controller
     unknown = {
@@ -197,7 +197,7 @@ def law_line(problem: Problem, law: FoundLaw | None) -> TrustLine | None:
     return structs.replace(line, text=LAW.part("fed", text=line.text))
 
 
-def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustLine | None:
+def _line_of_law(found: FoundLaw, motors: list[str]) -> TrustResult | None:
     used, error = found.used, found.residual_percent
     delay_ms, structure = 1e3 * float(np.median(found.delay_s)), found.law.structure
     if found.described is None:

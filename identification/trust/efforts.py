@@ -17,17 +17,17 @@ from acquisition.robot import RADIANS_AS_DEGREES
 from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
-from ..report import TrustLine
+from ..report import TrustResult
 from ..simulation import unstated_limits
 from .drives import LAW
-from .evidence import LEVELS, Case, FitData, Words
+from .evidence import LEVELS, Case, TrustInputs, Words
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
 MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error
 
 
-def signs_and_order_test(evidence: FitData) -> TrustLine | None:
+def signs_and_order_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether a mistake undone halves the torque error, or, as a sign of a motor
     that brakes, lowers it.
     """
@@ -85,7 +85,7 @@ SIGNS = Words(
 )
 
 
-def _power(evidence: FitData) -> tuple[Array, Bools]:
+def _power(evidence: TrustInputs) -> tuple[Array, Bools]:
     """Sums (n, n) of the speeds of joints times the torques at joints, and which motors (n,) take
     power from the robot.
     """
@@ -93,7 +93,7 @@ def _power(evidence: FitData) -> tuple[Array, Bools]:
     return power, np.diag(R @ power @ np.linalg.inv(R)) < 0
 
 
-def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
+def sign_may_be_wrong(evidence: TrustInputs, joint: str) -> bool:
     """Whether a motor that moves a joint brakes, or a sign turned, of its effort or its position,
     does not raise the torque error.
     """
@@ -102,7 +102,7 @@ def sign_may_be_wrong(evidence: FitData, joint: str) -> bool:
     return bool(_power(evidence)[1][motors].any() or turned_sign(evidence, motors)[0] <= MAX_RISE)
 
 
-def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[float, str]:
+def turned_sign(evidence: TrustInputs, motors: Collection[int] | Ints) -> tuple[float, str]:
     """Of the signs of some motors the one that, turned, leaves the smallest torque error: that over
     the error as it is, and the mistake that it would undo.
     """
@@ -111,7 +111,7 @@ def turned_sign(evidence: FitData, motors: Collection[int] | Ints) -> tuple[floa
 
 
 def _undone(
-    evidence: FitData, motors: Collection[int] | Ints | None = None
+    evidence: TrustInputs, motors: Collection[int] | Ints | None = None
 ) -> tuple[float, list[tuple[float, str, int | None, Array]]]:
     """The torque error; and with each of the mistakes undone, of signs of `motors` only if these
     are given: error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
@@ -192,7 +192,7 @@ def _error(factors: Array, A: Array) -> float:
     return relative_residual(R[:, :-1], R[:, -1])
 
 
-def saturation_test(evidence: FitData) -> TrustLine | None:
+def saturation_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether drives saturate at a limit that is not stated, where controller or simulated
     robot are not confirmed.
     """
@@ -228,7 +228,7 @@ SATURATION = Words(
 )
 
 
-def positions_test(evidence: FitData) -> TrustLine | None:
+def positions_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether positions look like radians that were declared as degrees."""
     radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
     return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
@@ -248,7 +248,7 @@ POSITIONS = Words(
 )
 
 
-def effort_test(evidence: FitData) -> TrustLine | None:
+def effort_test(evidence: TrustInputs) -> TrustResult | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
     found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
     return EFFORT.judge({"beyond": found}, overloads="; ".join(found))

@@ -19,7 +19,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
-from ..report import Assumed, Level, Method, TrustLine, is_gain
+from ..report import Assumed, Level, Method, TrustResult, is_gain
 from .candidates import Candidates
 
 BY_PRIOR = "held-out blocks by the prior"
@@ -39,7 +39,7 @@ def figures_of(
     return tuple(zip(names, *(map(float, x) for x in (values, half_widths, expected)), strict=True))
 
 
-def worst_of(lines: Iterable[TrustLine | None]) -> TrustLine | None:
+def worst_of(lines: Iterable[TrustResult | None]) -> TrustResult | None:
     """The first of the cautions, or of all, with the largest figure; None for no line."""
     made = filter(None, lines)
     return max(made, key=lambda x: (x.level == "caution", abs(x.value or 0.0)), default=None)
@@ -49,7 +49,7 @@ Part = Bools  # of the time: which spans, counted through all recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FitData:
+class TrustInputs:
     """An estimate and its data.
 
     Attributes:
@@ -79,7 +79,7 @@ class FitData:
     candidates: Candidates
     lags: tuple[Lag, ...]
     essential: tuple[str, ...]
-    made: Mapping[str, TrustLine | None]
+    made: Mapping[str, TrustResult | None]
     first_stage_F: float | None = None
 
     @property
@@ -231,7 +231,7 @@ class Words:
 
     test: str
     place: int = 1000  # the last
-    by: Callable[[FitData], TrustLine | None] | None = None
+    by: Callable[[TrustInputs], TrustResult | None] | None = None
     of_data: bool = False
     wrong: str
     advice: str
@@ -241,7 +241,7 @@ class Words:
     parts: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
 
-    def line(self, evidence: FitData) -> TrustLine | None:
+    def line(self, evidence: TrustInputs) -> TrustResult | None:
         """The line of a fit."""
         return self.by(evidence) if self.by else evidence.made.get(self.test)
 
@@ -253,7 +253,7 @@ class Words:
         figures: tuple[Figure, ...] = (),
         assumed: tuple[Assumed, ...] = (),
         **said: object,
-    ) -> TrustLine | None:
+    ) -> TrustResult | None:
         """Return the line by the first of the cases that holds; None where none does.
 
         `cases`: by name whether they hold; `said`: the figures of their words, and which parts
@@ -266,7 +266,7 @@ class Words:
         text, advice, finding = (
             written(text, self.parts, said) for text in (case.text, case.advice, case.finding)
         )
-        return TrustLine(
+        return TrustResult(
             test=self.test,
             level=case.level,
             text=": ".join(filter(None, (text, advice))),

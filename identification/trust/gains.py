@@ -6,8 +6,8 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import by_rows_alone, differs, intervals_of
-from ..report import Assumed, TrustLine, gain_name
-from .evidence import Case, FitData, Words, assume, figures_of, worst_of
+from ..report import Assumed, TrustResult, gain_name
+from .evidence import Case, TrustInputs, Words, assume, figures_of, worst_of
 
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
@@ -17,7 +17,7 @@ LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
-def gains_test(evidence: FitData) -> TrustLine | None:
+def gains_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether identified gains are positive, determined, and not all off by one factor beyond the
     catalogue's own scatter.
     """
@@ -131,11 +131,11 @@ def _common_factor(factors: Array) -> tuple[float, float, bool]:
     return float(np.exp(off)), float(scatter), is_common
 
 
-def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
+def centre_of_mass_test(evidence: TrustInputs) -> TrustResult | None:
     """How far the centre of mass by the recordings alone is from the stated one; the
     line of the worst payload.
     """
-    names, lines = evidence.estimate.names, list[TrustLine | None]()
+    names, lines = evidence.estimate.names, list[TrustResult | None]()
     for one in filter(None, dict.fromkeys(arm.payload for arm in evidence.arms)):
         stated = {name: of for name, of in one.stated.items() if name in names}
         if not stated or not one.payload.mass_kg:
@@ -189,7 +189,7 @@ CENTRE_OF_MASS = Words(
 )
 
 
-def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
+def payload_assumptions(evidence: TrustInputs) -> Iterator[Assumed]:
     """Mass and frame of the payloads, which no test covers."""
     found = dict.fromkeys(arm.payload for arm in evidence.arms)
     for one in filter(None, found):

@@ -25,9 +25,9 @@ from ..arrays import Array, Bools
 from ..errors import NoFitError
 from ..model import friction_power, nearest_consistent, requirements
 from ..regression import friction_states, recorded_power
-from ..report import TrustLine, is_own
+from ..report import TrustResult, is_own
 from .efforts import sign_may_be_wrong
-from .evidence import LEVELS, Case, FitData, Words
+from .evidence import LEVELS, Case, TrustInputs, Words
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 CHANCE_HALF_WIDTHS = 1.4  # the same, that one of twenty parameters exceeds in 5 % of clean fits
@@ -38,7 +38,7 @@ FAR = 3.0  # times its limit
 Check = Callable[[str], bool]  # whether a sign may be wrong, by a joint's name
 
 
-def physical_test(evidence: FitData) -> TrustLine | None:
+def physical_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether the parameters are physical; each finding names the joint to check.
 
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
@@ -123,7 +123,7 @@ PHYSICAL = Words(
 )
 
 
-def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
+def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], float]:
     """Physically impossible values of the estimate, and the lowest eigenvalue
     of M on the trajectory.
     """
@@ -136,8 +136,8 @@ def _findings(evidence: FitData, check: Check) -> tuple[list[TrustLine], float]:
 
 
 def _findings_below_zero(
-    evidence: FitData, own: Sequence[Bools], check: Check
-) -> Iterator[TrustLine | None]:
+    evidence: TrustInputs, own: Sequence[Bools], check: Check
+) -> Iterator[TrustResult | None]:
     """Joints with friction or rotor inertia below zero."""
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     apart, by_base = any(map(is_own, evidence.estimate.names)), np.linalg.pinv(base.K)
@@ -166,7 +166,7 @@ def _findings_below_zero(
 
 def _finding(
     far: float, what: str, joint: str, check: Check, *, noise: bool = False, terms: bool = False
-) -> TrustLine | None:
+) -> TrustResult | None:
     """Of a value that is so many half-widths below zero; whether by fewer it may be `noise`, and
     whether further friction `terms` may be the cause.
     """
@@ -182,7 +182,7 @@ def _finding(
 
 
 def _worst(
-    G: Array, evidence: FitData
+    G: Array, evidence: TrustInputs
 ) -> tuple[float, float, float, Array, tuple[np.intp, ...], float]:
     """Of the matrices G beta, G (..., d, d, b), v'(G beta)v that is most half-widths below zero of
     the directions v (d,) tried: how many, that, its half-width, v, and where; their lowest
@@ -201,8 +201,8 @@ def _worst(
 
 
 def _driving_findings(
-    evidence: FitData, arms: Sequence[Bools], check: Check
-) -> Iterator[TrustLine | None]:
+    evidence: TrustInputs, arms: Sequence[Bools], check: Check
+) -> Iterator[TrustResult | None]:
     """Whether friction of further terms would drive a joint, or joints that share
     motors, at recorded speeds.
 
@@ -235,8 +235,8 @@ def _driving_findings(
 
 
 def _finding_of_inertia(
-    evidence: FitData, own: Bools, check: Check
-) -> tuple[TrustLine | None, float]:
+    evidence: TrustInputs, own: Bools, check: Check
+) -> tuple[TrustResult | None, float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
@@ -254,7 +254,7 @@ def _finding_of_inertia(
     return _finding(far, text, joint, check, noise=True), least
 
 
-def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
+def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
     """Whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
@@ -272,7 +272,7 @@ def _finding_of_gravity(evidence: FitData) -> TrustLine | None:
     return PHYSICAL.judge(lacks, without=left[1], residual=left[0])
 
 
-def consistent_test(evidence: FitData) -> TrustLine | None:
+def consistent_test(evidence: TrustInputs) -> TrustResult | None:
     """Distance of the nearest consistent parameters: chi-squared, and the largest move in
     half-widths of the intervals.
     """

@@ -22,8 +22,8 @@ from ..estimation import (
     spans_at,
     undetermined_parameters,
 )
-from ..report import TrustLine
-from .evidence import BY_PRIOR, Case, FitData, Part, Words, figures_of
+from ..report import TrustResult
+from .evidence import BY_PRIOR, Case, Part, TrustInputs, Words, figures_of
 from .prior import known_and_free
 
 BLOCKS = 5
@@ -50,7 +50,7 @@ class HeldOut:
     undetermined: tuple[str, ...]
 
 
-def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str]]]:
+def _predicted_parts(evidence: TrustInputs) -> list[tuple[str, Part, Array, list[str]]]:
     """Five blocks of time of one recording, or each of several: name, spans of time, the parameters
     (b,) of the fit of the others that predict it, and which of them these do not determine; none
     where the others have too few rows. A recording's own parameters are fitted to it, as the others
@@ -74,11 +74,11 @@ def _predicted_parts(evidence: FitData) -> list[tuple[str, Part, Array, list[str
 
 
 def _held_out(
-    evidence: FitData,
+    evidence: TrustInputs,
     parts: list[tuple[str, Part, Array, list[str]]],
     at: Ints,
     torques: tuple[Array, Array, Array, Bools],
-) -> tuple[TrustLine | None, tuple[HeldOut, ...]]:
+) -> tuple[TrustResult | None, tuple[HeldOut, ...]]:
     """The line, and the errors of recordings, by rows of the spans `at` (T,): torques (T, n) as
     measured, by the fit and by the others, and which count.
 
@@ -120,7 +120,9 @@ def _held_out(
     return _line_of(evidence, names, norms[told], without), tuple(found)
 
 
-def _line_of(evidence: FitData, names: list[str], norms: Array, without: str) -> TrustLine | None:
+def _line_of(
+    evidence: TrustInputs, names: list[str], norms: Array, without: str
+) -> TrustResult | None:
     """The line of parts, by the norms (k, 5) of their torque, its errors held out and trained, and
     those of weighted rows; `without` tells of the other parts.
     """
@@ -214,15 +216,17 @@ def predictions_by_others(
     return found
 
 
-def _betas(evidence: FitData, parts: list[tuple[str, Part, Array, list[str]]]) -> list[Estimate]:
+def _betas(
+    evidence: TrustInputs, parts: list[tuple[str, Part, Array, list[str]]]
+) -> list[Estimate]:
     """The estimates that predict the parts, of those that others do not determine that of all."""
     whole = evidence.estimate
     return [whole if lost else replace(whole, beta=beta) for _, _, beta, lost in parts] or [whole]
 
 
 def with_predictions(
-    evidence: FitData, predict: Predict
-) -> tuple[FitData, tuple[HeldOut, ...], tuple[Array, Array, Bools, list[Array]]]:
+    evidence: TrustInputs, predict: Predict
+) -> tuple[TrustInputs, tuple[HeldOut, ...], tuple[Array, Array, Bools, list[Array]]]:
     """The same with the lines of what the fit of other blocks or recordings predicts, and of what
     the prior's links do with all else fitted to the others; recordings so predicted, empty for
     blocks; torques (T, n) as measured and by the fit, which rows count, and by recording their
@@ -250,7 +254,7 @@ def with_predictions(
     return evidence, found[0][1], (tau, trained, counts, t_s)
 
 
-def _by_links(evidence: FitData) -> FitData | None:
+def _by_links(evidence: TrustInputs) -> TrustInputs | None:
     """The same with the prior's links, and all else fitted beside them; None where it has none, or
     the recordings do not determine the rest.
     """

@@ -33,8 +33,8 @@ from ..errors import NoFitError
 from ..estimation import MIN_COLUMN_NORM, instrumental_variables, intervals_of
 from ..model import direct_model
 from ..regression import row_states
-from ..report import TrustLine, base_name
-from .evidence import Case, FitData, Words, figures_of
+from ..report import TrustResult, base_name
+from .evidence import Case, TrustInputs, Words, figures_of
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
@@ -46,7 +46,7 @@ MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a 
 FACTORS = {"degrees": 180 / np.pi, "sign": -1.0}  # of positions
 
 
-def prior_test(evidence: FitData) -> TrustLine | None:
+def prior_test(evidence: TrustInputs) -> TrustResult | None:
     """By joint its torque over that of the prior's links; joints that seem exchanged or in other
     units. Never `do not use`.
     """
@@ -143,7 +143,7 @@ PRIOR = Words(
 )
 
 
-def known_and_free(evidence: FitData) -> tuple[Array, Ints]:
+def known_and_free(evidence: TrustInputs) -> tuple[Array, Ints]:
     """(p,) values of the system's parameters by the prior, zero where it has none; places of those
     that are fitted instead.
     """
@@ -152,7 +152,7 @@ def known_and_free(evidence: FitData) -> tuple[Array, Ints]:
     return np.nan_to_num(values), np.flatnonzero(np.isnan(values) & np.isin(names, estimated))
 
 
-def _factors(evidence: FitData) -> Array:
+def _factors(evidence: TrustInputs) -> Array:
     """By joint (4, n) its factor and half the 95 % interval of that, and shares of the square of
     its torque, both without what is not of links: what the prior's links explain with the factor,
     and their own. Zeros where it is undetermined.
@@ -195,7 +195,7 @@ class Mistake:
     gravity: Array | None = None
 
 
-def cause_by_prior(evidence: FitData) -> str:
+def cause_by_prior(evidence: TrustInputs) -> str:
     """The mistake that, undone, lets the prior's links explain the torques far better; "" for none,
     in some 300 rows of the first recording.
     """
@@ -244,7 +244,7 @@ def _mistakes(robot: Robot) -> Iterator[Mistake]:
 
 
 def _torque_of_links(
-    evidence: FitData, motion: Sequence[Array], mistakes: Sequence[Mistake]
+    evidence: TrustInputs, motion: Sequence[Array], mistakes: Sequence[Mistake]
 ) -> Array:
     """(rows, mistakes, n) torque of the prior's links, with the payload, along the motions."""
     problem, payload = evidence.problem, evidence.arms[0].payload

@@ -8,8 +8,8 @@ from .. import estimation
 from ..arrays import Array
 from ..data import position_steps
 from ..regression import Problem, standing_joints
-from ..report import TrustLine
-from .evidence import Case, FitData, Words
+from ..report import TrustResult
+from .evidence import Case, TrustInputs, Words
 
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
@@ -20,7 +20,7 @@ MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsew
 END_ROWS = 5  # rows at each end that a bad edge affects
 
 
-def motion_test(evidence: FitData) -> TrustLine | None:
+def motion_test(evidence: TrustInputs) -> TrustResult | None:
     """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
     names = ", ".join(standing_joints(speed, robot.joints))
@@ -47,7 +47,7 @@ MOTION = Words(
 )
 
 
-def rows_test(e: FitData) -> TrustLine | None:
+def rows_test(e: TrustInputs) -> TrustResult | None:
     """The recording with most missing or repeated rows; else those with rows that nobody measured,
     or one whose encoders are slower than the log.
     """
@@ -123,7 +123,7 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
     return ROWS.part("slow", joints=names, percent=held)
 
 
-def ends_test(evidence: FitData) -> TrustLine | None:
+def ends_test(evidence: TrustInputs) -> TrustResult | None:
     """Outliers of moving rows, beyond 6 robust deviations of their joint,
     especially at the ends.
     """

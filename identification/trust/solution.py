@@ -10,8 +10,8 @@ import numpy as np
 from .. import estimation
 from ..errors import NoFitError
 from ..model import JointTerm
-from ..report import TrustLine
-from .evidence import Case, FitData, Part, Words
+from ..report import TrustResult
+from .evidence import Case, Part, TrustInputs, Words
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
@@ -20,7 +20,7 @@ MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10
 MAX_CONDITION = 50.0  # of scaled columns; 7 to 11 of motions of five sines
 
 
-def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustLine | None:
+def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustResult | None:
     """Whether the passes ended in a fixed point that the simulated robot confirms."""
     converged = status == "converged"
     return FIXED_POINT.judge(
@@ -91,7 +91,7 @@ POSITION_NOISE = Words(
 )
 
 
-def instruments_test(evidence: FitData) -> TrustLine | None:
+def instruments_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     if (F := evidence.first_stage_F) is None:
         return None
@@ -126,7 +126,7 @@ INSTRUMENTS = Words(
 )
 
 
-def units_test(evidence: FitData) -> TrustLine | None:
+def units_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether joints share parameters although their drive gains are not known: then the torques
     are in different units.
     """
@@ -164,7 +164,7 @@ UNITS = Words(
 )
 
 
-def essential_test(evidence: FitData) -> TrustLine | None:
+def essential_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether the interval of some inertia is narrower than its value."""
     base, idm, names = (
         evidence.problem.base,
@@ -201,7 +201,7 @@ ESSENTIAL = Words(
 )
 
 
-def excitation_test(evidence: FitData) -> TrustLine | None:
+def excitation_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether the motion excites all combinations of the essential parameters: a single sine moves
     joints as well, but always together.
     """
@@ -245,7 +245,7 @@ EXCITATION = Words(
 )
 
 
-def halves_test(evidence: FitData) -> TrustLine | None:
+def halves_test(evidence: TrustInputs) -> TrustResult | None:
     """Whether both halves of the recording give the same parameters: a Wald test, with the
     cosines of both as freedom.
     """
@@ -302,7 +302,7 @@ HALVES = Words(
 )
 
 
-def _solve_part(evidence: FitData, part: Part) -> estimation.Intervals | None:
+def _solve_part(evidence: TrustInputs, part: Part) -> estimation.Intervals | None:
     """Intervals of the parameters by a span of time; None where they are undetermined."""
     rows = part[evidence.observed.system.span]
     values = np.linalg.eigvalsh(evidence.estimate.Q[rows].T @ evidence.estimate.Q[rows])

@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from msgspec import structs
 
-from ..report import Assumed, TrustLine, Verdict, is_own
+from ..report import Assumed, TrustResult, Verdict, is_own
 from . import columns, drives, efforts, gains, physical, predictions, prior, rows, solution
-from .evidence import LEVELS, FitData, Words, assume
+from .evidence import LEVELS, TrustInputs, Words, assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
 CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
@@ -24,10 +24,10 @@ class Trust:
     A test that was not made does not count.
     """
 
-    lines: tuple[TrustLine, ...]
+    lines: tuple[TrustResult, ...]
     assumed: tuple[Assumed, ...] = ()
 
-    def line(self, test: str) -> TrustLine:
+    def line(self, test: str) -> TrustResult:
         """The line of a test."""
         return next(line for line in self.lines if line.test == test)
 
@@ -44,7 +44,7 @@ class Trust:
         return "" if self.verdict == "trust" else worst.finding or worst.test
 
 
-def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> Iterator[Assumed]:
     """Assumptions that no test covers, by the lines of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv = signals.sample_rate_hz, evidence.method == "iv"
@@ -97,7 +97,7 @@ WORDS: Mapping[str, Words] = {
 }
 
 
-def trust_in(evidence: FitData) -> Trust:
+def trust_in(evidence: TrustInputs) -> Trust:
     """All tests of an estimate, worst first, and the assumptions: `do not use` if M is not positive
     and the held-out blocks fail, or if the parameters are far from those of a robot and a witness
     says why.
@@ -131,7 +131,7 @@ def trust_in(evidence: FitData) -> Trust:
     )
 
 
-def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
+def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
     """What else tells that parameters are wrong that are far from those of a physical robot: a
     negative factor of the prior, a sign that fits better turned, or a large held-out error; "" for
     nothing.
@@ -151,6 +151,6 @@ def _witness(evidence: FitData, lines: Mapping[str, TrustLine]) -> str:
     return f"{held:.2g} % held out" * (held > MAX_WITNESS_PERCENT and evidence.robot.n > 1)
 
 
-def worst_first(lines: Iterable[TrustLine]) -> tuple[TrustLine, ...]:
+def worst_first(lines: Iterable[TrustResult]) -> tuple[TrustResult, ...]:
     """Lines sorted by level."""
     return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))

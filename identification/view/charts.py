@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..report import Level, ParameterSet, TrustLine, differences
-from ..study import Run, VariedFit, moves_of
+from ..report import Level, ParameterSet, TrustResult, differences
+from ..study import Run, VariedFit, changes_of
 from .panels import (
     COMPARED,
     GREEN,
@@ -129,12 +129,12 @@ def _look(known: bool) -> tuple[Color, Shape]:
     return (ORANGE, "dot") if known else (GREY, "ring")
 
 
-def trust_charts(tests: Sequence[TrustLine]) -> list[Rows]:
+def trust_charts(tests: Sequence[TrustResult]) -> list[Rows]:
     """Figures of the tests by joint or block, with expected values."""
     return [_trust_chart(line) for line in tests if line.figures]
 
 
-def _trust_chart(line: TrustLine) -> Rows:
+def _trust_chart(line: TrustResult) -> Rows:
     color = LEVEL_COLORS.get(line.level, GREY)
     marks = [
         *(
@@ -242,7 +242,7 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
         return None
     name = max(
         fits[0].essential or fits[0].values,
-        key=lambda name: float(moves_of(noisy, name)[:, 0].max()),
+        key=lambda name: float(changes_of(noisy, name)[:, 0].max()),
     )
     noisy.sort(key=lambda fit: fit.variant.noise)
     x = 1e6 * np.array([fit.variant.noise for fit in noisy])

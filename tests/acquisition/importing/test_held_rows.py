@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.commands import main
-from acquisition.errors import Place
+from acquisition.errors import Location
 from acquisition.importing import grid_of_new_rows
 from acquisition.recording import read_recording
 
@@ -78,7 +78,7 @@ RATES = [(125, 200), (125, 500), (100, 500), (167, 500), (250, 1000), (400, 500)
 @pytest.mark.parametrize(("source_hz", "log_hz"), RATES)
 def test_new_rows_keep_source_times(source_hz, log_hz):
     """Up to a period of the log late, which is the same for all rows."""
-    found = grid_of_new_rows(*logged(even(source_hz), log_hz), Place("log"))
+    found = grid_of_new_rows(*logged(even(source_hz), log_hz), Location("log"))
     assert found.rate_hz == source_hz
     assert len(found.parts["position"]) == pytest.approx(SECONDS * source_hz, abs=1)
     t_s = np.arange(len(found.parts["position"])) / source_hz
@@ -92,7 +92,7 @@ def test_new_rows_keep_source_times(source_hz, log_hz):
 def test_jittering_source_becomes_even():
     rng = np.random.default_rng(1)
     t_s, parts = logged(even(250) + rng.uniform(0, 1.5e-3, round(250 * SECONDS)), 1000)
-    found = grid_of_new_rows(t_s, parts, Place("log"))
+    found = grid_of_new_rows(t_s, parts, Location("log"))
     assert found.rate_hz == 250
     assert found.report.gaps == 0
 
@@ -100,7 +100,7 @@ def test_jittering_source_becomes_even():
 def test_lost_source_rows_are_gaps_in_grid():
     """Two rows, within whose time values are interpolated; ten, a gap."""
     there = np.delete(even(125), [400, 800, *range(1000, 1010)])
-    found = grid_of_new_rows(*logged(there, 500), Place("log"))
+    found = grid_of_new_rows(*logged(there, 500), Location("log"))
     assert (found.rate_hz, found.report.missing) == (125, 12)
     assert np.flatnonzero(found.absent).tolist() == list(range(1000, 1010))
     q = motion(np.arange(len(found.absent)) / 125)["position"]
@@ -112,7 +112,7 @@ def test_lost_source_rows_are_gaps_in_grid():
 def test_many_lost_rows_do_not_distort_time(source_hz, log_hz, share):
     """Values next to missing rows are interpolated, others at their instants."""
     there = np.random.default_rng(2).random(round(SECONDS * source_hz)) > share
-    found = grid_of_new_rows(*logged(even(source_hz)[there], log_hz), Place("log"))
+    found = grid_of_new_rows(*logged(even(source_hz)[there], log_hz), Location("log"))
     assert found.rate_hz == source_hz
     first = int(np.argmax(there))
     q = motion((first + np.arange(len(found.parts["position"]))) / source_hz)["position"]
@@ -129,7 +129,7 @@ def test_pauses_do_not_distort_time(source_hz, log_hz):
     moved_s = np.clip(source_s - 4, 0, 3) + np.clip(source_s - 10, 0, None)
     last = np.searchsorted(source_s, t_s + 1e-9) - 1
     rows = {name: x[last] for name, x in motion(moved_s).items()}
-    found = grid_of_new_rows(t_s, rows, Place("log"))
+    found = grid_of_new_rows(t_s, rows, Location("log"))
     assert found.rate_hz == source_hz
     first = round(found.start_s * source_hz)
     q = motion(moved_s)["position"][first:][: len(found.absent)]
@@ -141,7 +141,7 @@ def test_randomly_repeated_rows_keep_times():
     t_s, parts = logged(even(500), 500)
     late = np.random.default_rng(3).random(len(t_s)) < 0.2
     last = np.maximum.accumulate(np.where(late, 0, np.arange(len(t_s))))
-    found = grid_of_new_rows(t_s, {name: x[last] for name, x in parts.items()}, Place("log"))
+    found = grid_of_new_rows(t_s, {name: x[last] for name, x in parts.items()}, Location("log"))
     assert found.rate_hz == 500
     off = found.parts["position"] - parts["position"][: len(found.parts["position"])]
     assert np.abs(off).max() < 1e-6
@@ -149,7 +149,7 @@ def test_randomly_repeated_rows_keep_times():
 
 def test_efforts_new_in_each_row_keep_times():
     t_s, parts = logged(even(125), 500, new=("position",))
-    found = grid_of_new_rows(t_s, parts, Place("log"))
+    found = grid_of_new_rows(t_s, parts, Location("log"))
     t_s = np.arange(len(found.parts["effort"])) / 125
     late_s = 0.5 * (found.start_s - 0.0)
     np.testing.assert_allclose(found.parts["effort"], motion(t_s + 2 * late_s)["effort"], atol=2e-3)
@@ -157,7 +157,7 @@ def test_efforts_new_in_each_row_keep_times():
 
 def test_lower_given_rate_is_used():
     rows = logged(even(125), 500)
-    rates = [grid_of_new_rows(*rows, Place("log"), hz).rate_hz for hz in (500.0, 50.0)]
+    rates = [grid_of_new_rows(*rows, Location("log"), hz).rate_hz for hz in (500.0, 50.0)]
     assert rates == [125, 50]
 
 
@@ -177,4 +177,4 @@ def test_other_rows_are_unchanged(change):
     t_s = even(500)
     parts = motion(t_s)
     parts["position"] = change(parts["position"])
-    assert grid_of_new_rows(t_s, parts, Place("log")) is None
+    assert grid_of_new_rows(t_s, parts, Location("log")) is None

@@ -11,7 +11,7 @@ from conftest import robot_named
 from jittered_time import MAP
 from scipy.interpolate import CubicSpline
 
-from acquisition.errors import BadInputError, Place
+from acquisition.errors import BadInputError, Location
 from acquisition.importing import (
     import_tables,
     interpolate,
@@ -38,7 +38,7 @@ def on_grid(
     largest_gap_periods: float = 3.0,
     **parts: np.ndarray,
 ):
-    parts, place = parts or {"q": motion(t)}, Place("log")
+    parts, place = parts or {"q": motion(t)}, Location("log")
     return resample(t, parts, rate_hz=rate_hz, largest_gap_periods=largest_gap_periods, place=place)
 
 

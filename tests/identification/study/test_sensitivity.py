@@ -15,8 +15,8 @@ from identification.report import print_whole
 from identification.study import (
     Variant,
     VariedFit,
+    changes_of,
     fit_variant,
-    moves_of,
     sensitivity_document,
     vary,
 )
@@ -40,7 +40,7 @@ class Tasks:
 
 def test_real_noise_moves_ls_not_iv(emps, capsys):
     fits = vary(RecordingFile.at(emps), None, Work())
-    largest = np.max([moves_of(fits, name) for name in fits[0].values], axis=0)
+    largest = np.max([changes_of(fits, name) for name in fits[0].values], axis=0)
     moves = dict(zip((fit.variant.to for fit in fits), largest, strict=True))
     ls, iv, *_ = moves["1e-05 m rms"]
     assert (ls > 5, iv < 1) == (True, True)
@@ -87,7 +87,7 @@ def test_noise_and_settings_reach_fit():
     changes = [{}, {"noise": 1e-3}, {"noise": 1e-3}, {"start": 1000.0}]
     one, noisy, again, started = (fit_variant(source, replace(rules, **x)) for x in changes)
     assert noisy == again
-    assert 0 < moves_of([one, started], "ZZ1R")[1][1] < 1e-3
+    assert 0 < changes_of([one, started], "ZZ1R")[1][1] < 1e-3
     assert set(one.essential) <= set(one.values)
     assert all(one.values[name][0] != noisy.values[name][0] for name in one.values)
     decimated = fit_variant(
@@ -128,7 +128,7 @@ def made_up():
 def test_changes_in_half_widths_of_default_iv():
     fits = made_up()
     np.testing.assert_array_equal(
-        moves_of(fits, "M1"), [[0, 0, 0, 0], [np.nan] * 4, [8, 0.5, 2, 0.5]]
+        changes_of(fits, "M1"), [[0, 0, 0, 0], [np.nan] * 4, [8, 0.5, 2, 0.5]]
     )
     document = sensitivity_document("log.mcap", fits)
     assert document.title == (

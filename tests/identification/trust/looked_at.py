@@ -5,7 +5,7 @@ import pytest
 from identification.data import Signals
 from identification.regression import Overrides
 from identification.results import Evidence, identify
-from identification.trust import FitData
+from identification.trust import TrustInputs
 
 LIMITS = {
     "spans": {"identification.estimation.system.SHORT": 0},
@@ -15,7 +15,7 @@ LIMITS = {
 
 def looked_at(
     method: str, signals: Signals, by: str = "spans", **overrides
-) -> tuple[Evidence, FitData]:
+) -> tuple[Evidence, TrustInputs]:
     """`by`: as a long recording, by `spans` of time, or by `instants`."""
     with pytest.MonkeyPatch.context() as patch:
         for name, limit in LIMITS[by].items():

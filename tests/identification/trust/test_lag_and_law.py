@@ -22,7 +22,7 @@ from identification.estimation import SpanRows
 from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
 from identification.regression.lag import LAG_ORDERS, LagFilters
-from identification.report import TrustLine
+from identification.report import TrustResult
 from identification.results import Evidence, identify, identify_ls
 from identification.trust import trust_in
 
@@ -284,7 +284,7 @@ def test_joint_without_delay_keeps_others_filter():
 # Control law
 
 
-def law_line_of(signals: Signals) -> TrustLine:
+def law_line_of(signals: Signals) -> TrustResult:
     return fitted(signals, method="wls").trust.line("control law")
 
 

@@ -40,13 +40,13 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
-from identification.report import TrustLine
+from identification.report import TrustResult
 from identification.results import Evidence, identify, identify_ls
 from identification.trust import (
     LEVELS,
     WORDS,
-    FitData,
     Trust,
+    TrustInputs,
     candidates,
     kinds,
     trust_in,
@@ -112,7 +112,7 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 @cache
 def examined(
     method: str, name: str, cell: Imperfections = WHITE, fault: str = "", by: str = "spans"
-) -> tuple[Evidence, FitData]:
+) -> tuple[Evidence, TrustInputs]:
     return looked_at(method, recorded(name, cell, fault), by)
 
 
@@ -123,8 +123,8 @@ REL = {"iv": 1e-4, "wls": 1e-6}
 # The verdict
 
 
-def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
-    return TrustLine(test=test, level=level, text="", finding=finding)
+def line(level: str, test: str = "a test", finding: str = "") -> TrustResult:
+    return TrustResult(test=test, level=level, value=None, text="", finding=finding)
 
 
 def test_worst_line_is_verdict():
@@ -183,7 +183,7 @@ def test_negative_inertia_and_held_out_error(monkeypatch):
         (0.1, far, "caution"),
         (-0.1, held, "ok"),
     ):
-        physical = TrustLine(test="physical", level="caution", text="", value=value)
+        physical = TrustResult(test="physical", level="caution", text="", value=value)
         rows = {
             made.test: replace(WORDS[made.test], by=lambda _, made=made: made)
             for made in (physical, law, line_)

@@ -11,7 +11,7 @@ from hunt_kinds import SetUp, sound, two_signs
 from independent_simulator import Imperfections, Reference, references, simulate
 from msgspec import structs
 
-from identification.report import TrustLine
+from identification.report import TrustResult
 from identification.trust import WORDS, efforts, trust_in, verdict
 
 
@@ -33,7 +33,7 @@ def told(monkeypatch, **changed):
     lines = {of.test: of for row in WORDS.values() if (of := row.line(evidence())) is not None}
     for name, changes in changed.items():
         name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
-        plain = TrustLine(test=name, level="ok", text="")
+        plain = TrustResult(test=name, level="ok", value=None, text="")
         lines[name] = structs.replace(lines.get(name, plain), **changes)
     rows = {name: replace(WORDS[name], by=lambda _, of=of: of) for name, of in lines.items()}
     monkeypatch.setattr(verdict, "WORDS", rows)

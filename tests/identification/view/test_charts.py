@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pictured_fits import FS, fitted, made_up, values
 
-from identification.report import TrustLine
+from identification.report import TrustResult
 from identification.results import fit_file
 from identification.study import Run, RunFit
 from identification.view import recording_panels
@@ -112,10 +112,10 @@ def test_test_figures_have_intervals_and_expected():
         ("shoulder", 1.2, 0.2, -0.5),
         ("elbow", -0.5, 0.0, 0.0),
     )
-    lag = TrustLine(
+    lag = TrustResult(
         test="lag", level="caution", text="late", value=1.2, unit="samples", figures=figures
     )
-    made = TrustLine(test="ends", level="ok", text="no outlier", value=-5.0)
+    made = TrustResult(test="ends", level="ok", text="no outlier", value=-5.0)
     (of_lag,) = trust_charts([lag, made])
     assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
     (of_blocks,) = trust_charts([msgspec.structs.replace(lag, figures=figures[1:])])
