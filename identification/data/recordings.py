@@ -113,11 +113,9 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 def _read(path: Path) -> tuple[Recording, Block]:
     """Read a recording that is whole, and its samples, of which there must be some."""
     recording = read_recording(path)
-    Location(str(path)).require(
-        not recording.cut,
-        expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
-        text="is cut off",
-    )
+    if recording.cut:
+        repaired = f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it"
+        raise BadInputError("is cut off", place=str(path), expected=repaired)
     if recording.samples is None or len(recording.samples) == 0:
         raise BadInputError(
             recording.no_samples,
@@ -185,7 +183,8 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
     the rows.
     """
-    Location(str(path)).require(len(since) >= 2, "samples", len(since), "a trajectory")
+    if len(since) < 2:
+        Location(str(path)).refuse("samples", len(since), "a trajectory")
     steps = np.diff(since)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))

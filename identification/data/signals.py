@@ -88,16 +88,18 @@ class Signals:
         parts = {name: of for name in COLUMNS if (of := getattr(self, name)) is not None}
         for name, array in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
-            place.require(array.shape == shape, f"{name}.shape", array.shape, f"{shape}, as q has")
+            if array.shape != shape:
+                place.refuse(f"{name}.shape", array.shape, f"{shape}, as q has")
         joints = len(self.robot.joints)
-        place.require(n == joints, "joints recorded", n, f"{joints}, as the robot has")
-        units = " and ".join(sorted(set(self.robot.effort_units)))
-        place.require(
-            self.known_torque is None or self.robot.gain_known,
-            "known_torque",
-            expected=f"the drive gains of robot {self.robot.name}",
-            text=f"cannot be added to efforts in {units}",
-        )
+        if n != joints:
+            place.refuse("joints recorded", n, f"{joints}, as the robot has")
+        if self.known_torque is not None and not self.robot.gain_known:
+            units = " and ".join(sorted(set(self.robot.effort_units)))
+            place.refuse(
+                "known_torque",
+                expected=f"the drive gains of robot {self.robot.name}",
+                text=f"cannot be added to efforts in {units}",
+            )
         for name, array in parts.items():
             if not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0, 0])

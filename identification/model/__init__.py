@@ -9,6 +9,7 @@ from .direct import (
     DirectModel,
     cholesky_solver,
     direct_model,
+    direct_model_of_base,
     inertias,
     poses_of,
     regressor_gradient,

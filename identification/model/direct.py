@@ -180,6 +180,11 @@ class DirectModel:
         return np.asarray(factor @ self.directions)
 
 
+def direct_model_of_base(dynamics: InverseModel, base: BaseParameters, beta: Array) -> DirectModel:
+    """The same of base parameters beta (b,)."""
+    return direct_model(dynamics, base.standard_parameters(beta))
+
+
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """The equation of motion (1) of a robot with standard parameters chi (p,), SI.
 

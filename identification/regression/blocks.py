@@ -31,7 +31,7 @@ import numpy as np
 from ..arrays import Array, Bools, Ints
 from ..data import Signals
 from ..errors import NoFitError
-from ..model import BaseParameters, InverseModel, direct_model
+from ..model import BaseParameters, InverseModel, direct_model_of_base
 from .filtering import Decimation, nearby
 from .motion import BLOCK_SAMPLES, Motion, differentiate, smooth
 from .problem import Problem, row_blocks
@@ -366,9 +366,7 @@ def predicted_torque(
     """Torque (..., N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq)
     beta, by beta (..., b); links' as `smooth`.
     """
-    models = [
-        direct_model(dynamics, base.standard_parameters(one)) for one in beta.reshape(-1, base.b)
-    ]
+    models = [direct_model_of_base(dynamics, base, one) for one in beta.reshape(-1, base.b)]
     links, gravity = np.array([one.links for one in models]), dynamics.model.gravity.linear
     rigid = smooth(
         lambda *states: dynamics.torques_of_links(states, links, gravity).swapaxes(0, 1),

@@ -16,7 +16,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import Location, NoFitError
+from acquisition.errors import BadInputError, NoFitError
 
 from ..arrays import Array, Bools, Ints
 
@@ -34,13 +34,13 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
     `cutoff_hz` is of one direction.
     """
-    Location("").require(
-        0 < cutoff_hz < sample_rate_hz / 2,
-        "cut-off",
-        cutoff_hz,
-        f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
-        shown=f"{cutoff_hz:g} Hz",
-    )
+    if not 0 < cutoff_hz < sample_rate_hz / 2:
+        raise BadInputError(
+            key="cut-off",
+            value=cutoff_hz,
+            shown=f"{cutoff_hz:g} Hz",
+            expected=f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
+        )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise NoFitError(key="samples to filter", value=len(x), expected=f"more than {padding}")

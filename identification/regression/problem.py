@@ -16,11 +16,9 @@ from ..arrays import Array, Bools
 from ..data import RecordingFile, Signals
 from ..model import (
     BaseParameters,
-    DirectModel,
     InverseModel,
     JointTerm,
     base_parameters,
-    direct_model,
     poses_of,
 )
 from .filtering import decimation_reach, nearby
@@ -83,10 +81,6 @@ class Problem:
         if len(s.effort) > BLOCK_SAMPLES:
             release_pages(s.effort)
         return tau if kappa is None else np.linalg.solve(R.T, tau.T).T * kappa @ R
-
-    def direct_model(self, beta: Array) -> DirectModel:
-        """The robot with base parameters beta (b,)."""
-        return direct_model(self.model, self.base.standard_parameters(beta))
 
     @property
     def kinds(self) -> list[str]:

@@ -260,13 +260,13 @@ def make_settings(
 def _refuse_low_rate(signals: Signals) -> None:
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
-    Location(signals.recording).require(
-        fs > least_hz,
-        "sample_rate_hz",
-        fs,
-        f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a "
-        "period",
-    )
+    if not fs > least_hz:
+        Location(signals.recording).refuse(
+            "sample_rate_hz",
+            fs,
+            f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a "
+            "period",
+        )
 
 
 def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:

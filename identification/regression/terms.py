@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..model import SHAPES, friction_power, shaped_states
+from ..model import SHAPES, direct_model_of_base, friction_power, shaped_states
 from .blocks import MotionBlock, motion_blocks
 from .problem import Problem
 from .unknowns import Arm
@@ -131,7 +131,7 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
     beta : (b,) their values; those that are not of links have no part in it.
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
-    return problem.direct_model(beta).torques_of_links(q, dq, ddq)
+    return direct_model_of_base(problem.model, problem.base, beta).torques_of_links(q, dq, ddq)
 
 
 def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:

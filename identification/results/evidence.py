@@ -17,7 +17,7 @@ from ..control import ControllerKind, FoundLaw
 from ..data import Signals
 from ..estimation import Estimate, Intervals, torque_errors
 from ..methods import Pass, Solution, direct_errors, largest
-from ..model import BaseParameters, direct_model
+from ..model import BaseParameters, direct_model_of_base
 from ..regression import Problem, Settings, base_places, equation_alone, torque_of_recording
 from ..report import (
     ConsistentFile,
@@ -314,7 +314,7 @@ def errors_ahead(problem: Problem, beta: Array) -> Array | None:
     starts = [
         k for k in range(s.start, s.stop - span, max(1, span)) if measured[k : k + span].all()
     ]
-    model = direct_model(problem.model, problem.base.standard_parameters(beta))
+    model = direct_model_of_base(problem.model, problem.base, beta)
     fastest, each = np.abs(problem.motion.between(s.start, s.stop, s.cutoff_hz).dq).max(axis=0), []
     for k in starts[:: -(-len(starts) // MOST_STARTS)] if starts else ():
         motion = problem.motion.between(k, k + span, s.cutoff_hz)

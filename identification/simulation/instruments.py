@@ -125,7 +125,7 @@ def simulate(
     why, gains = None, np.ones(len(robot.held))
     if asked is not None:
         beta, covariance, payload = asked
-        why = robot.gains(robot.problem.direct_model(beta))[1]
+        why = robot.gains(robot.model_of(beta))[1]
         kind = "simulated" if why is None else "consistent"
         if covariance is not None:
             with suppress(NoFitError):
@@ -192,7 +192,8 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     """
     if (r := problem.signals.q_ref) is None:
         return problem.motion
-    span = problem.settings.start, problem.settings.stop
+    used = problem.settings.used
+    span = used.start, used.stop
     return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
 
 

@@ -21,7 +21,7 @@ from acquisition.robot import Joint
 
 from ..arrays import Array, Bools
 from ..control import SATURATED, FoundLaw, Reference, default_law, law_of_recording
-from ..model import DirectModel, inertias, why_not_positive
+from ..model import DirectModel, direct_model_of_base, inertias, why_not_positive
 from ..regression import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
@@ -106,7 +106,7 @@ class SimulatedRecording:
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
         loop = law_of_recording(problem, law)
-        M = problem.direct_model(prior).inertia(problem.poses)
+        M = self.model_of(prior).inertia(problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
@@ -138,6 +138,10 @@ class SimulatedRecording:
         scales, self.held = position_scales(travel, robot.joints)
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
+    def model_of(self, beta: Array) -> DirectModel:
+        """The robot with base parameters beta (b,)."""
+        return direct_model_of_base(self.problem.model, self.problem.base, beta)
+
     def simulated(self, beta: Array) -> tuple[Array, Array, str | None]:
         """Simulate the robot of base parameters beta (b,) in closed loop.
 
@@ -147,7 +151,7 @@ class SimulatedRecording:
         controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
         reference, or None.
         """
-        gains, reason = self.gains(model := self.problem.direct_model(beta))
+        gains, reason = self.gains(model := self.model_of(beta))
         if reason is not None:
             return np.zeros((4, 0, len(gains))), gains, reason
         loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
@@ -197,7 +201,7 @@ class SimulatedRecording:
 
     def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
         """Return a motion, low-passed by the rule, at the samples of these rows."""
-        samples = range(self.first, self.problem.settings.stop, self.stride)
+        samples = range(self.first, self.problem.settings.used.stop, self.stride)
         at = samples[self.decimation.samples(near, self.N)]
         return of.between(at[0], at[-1] + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
@@ -351,7 +355,8 @@ def _motor_efforts(problem: Problem) -> Iterator[Array]:
 
 def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
     """The rows (K, n) of series in the span used, in blocks."""
-    start, stop = problem.settings.start, problem.settings.stop
+    used = problem.settings.used
+    start, stop = used.start, used.stop
     for a in range(start, stop, BLOCK_SAMPLES):
         yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
         if stop - start > BLOCK_SAMPLES:
@@ -379,11 +384,11 @@ def refuse_instants(problem: Problem, period_s: float, duration_s: float, subste
             f"at least {MIN_INSTANTS} instants",
         ),
     ):
-        Location(f"robot {signals.robot.name}").require(
-            not wrong,
-            "controller.sample_rate_hz",
-            1 / period_s,
-            expected,
-            text=what,
-            shown=f"{1 / period_s:g}",
-        )
+        if wrong:
+            Location(f"robot {signals.robot.name}").refuse(
+                "controller.sample_rate_hz",
+                1 / period_s,
+                expected,
+                text=what,
+                shown=f"{1 / period_s:g}",
+            )

@@ -19,7 +19,7 @@ from ..methods import Iteration
 from ..model import (
     BaseParameters,
     InverseModel,
-    direct_model,
+    direct_model_of_base,
     known_parameters,
     poses_of,
     why_not_positive,
@@ -136,7 +136,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
     base, true = study_truth(robot)
 
     def result(fit: Evidence) -> RunFit:
-        model = direct_model(InverseModel(robot), base.standard_parameters(fit.beta))
+        model = direct_model_of_base(InverseModel(robot), base, fit.beta)
         return RunFit(
             beta=fit.beta,
             error=float(np.linalg.norm(fit.beta - true) / np.linalg.norm(true)),

@@ -31,7 +31,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Ints
 from ..errors import NoFitError
 from ..estimation import MIN_COLUMN_NORM, instrumental_variables, intervals_of
-from ..model import direct_model
+from ..model import direct_model_of_base
 from ..regression import row_states
 from ..report import TrustResult, base_name
 from .evidence import Case, TrustInputs, Words, figures_of
@@ -250,7 +250,7 @@ def _torque_of_links(
     problem, payload = evidence.problem, evidence.arms[0].payload
     beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
-    links = direct_model(problem.model, problem.base.standard_parameters(beta))
+    links = direct_model_of_base(problem.model, problem.base, beta)
     each = np.array([(one.positions, one.factors, one.turns) for one in mistakes])
     motions, of_mistake = np.unique(each, axis=0, return_inverse=True)
     q, dq, ddq = (x[:, motions[:, 0].astype(int)] * motions[:, 1] for x in motion)
