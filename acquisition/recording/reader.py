@@ -183,7 +183,8 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     )
     robot = robot_from_files(attachments, f"{path}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
-    place.require(unit == expected, "effort_unit", unit, expected, shown=str(unit))
+    if unit != expected:
+        place.refuse("effort_unit", unit, expected, shown=str(unit))
     samples, frames = None, {}
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:

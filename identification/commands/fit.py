@@ -57,20 +57,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
-    shared.COMMAND_LINE.require(
-        options.start is None or options.method not in ("ols", "wls"),
-        "--start",
-        options.start,
-        "--method iv",
-        text=f"has no effect with --method {options.method}",
-    )
-    shared.COMMAND_LINE.require(
-        options.prior is None or options.consistent,
-        "--prior",
-        str(options.prior),
-        "--consistent with it",
-        text="has no effect alone",
-    )
+    if options.start is not None and options.method in ("ols", "wls"):
+        unused = f"has no effect with --method {options.method}"
+        shared.COMMAND_LINE.refuse("--start", options.start, "--method iv", text=unused)
+    if options.prior is not None and not options.consistent:
+        alone = "has no effect alone"
+        prior = str(options.prior)
+        shared.COMMAND_LINE.refuse("--prior", prior, "--consistent with it", text=alone)
     pictures = _pictures(options)
     with Progress("reading") as progress:
         from .. import results

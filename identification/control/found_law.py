@@ -25,6 +25,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array, Bools
+from ..data import Signals
 from ..errors import NoFitError
 from ..estimation import System, intervals_of, ordinary_least_squares
 from ..regression import NOTHING, Lag, Problem
@@ -104,16 +105,16 @@ class FoundLaw:
         return delay_s if fits and abs(delay_s) > half_s else 0.0
 
 
-def law_of_recording(problem: Problem, found: FoundLaw | None) -> ControlLaw | None:
+def law_of_recording(robot: Robot, signals: Signals, found: FoundLaw | None) -> ControlLaw | None:
     """The law that the description has or, without one, that was found; None for neither. Along a
     measured position it has the model's gravity, as the position has the sag.
 
     Raises `BadInputError` for an incomplete description.
     """
-    law = described_law(problem.robot)
+    law = described_law(robot)
     if law is None and found is not None and found.reason is None:
-        law = replace(found.law, G=problem.robot.gain)  # those that a fit identified
-    if law is None or problem.signals.q_ref is not None or law.gravity == "measured":
+        law = replace(found.law, G=robot.gain)  # those that a fit identified
+    if law is None or signals.q_ref is not None or law.gravity == "measured":
         return law
     return replace(law, gravity="reference")
 

@@ -105,7 +105,7 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop = law_of_recording(problem, law)
+        loop = law_of_recording(robot, signals, law)
         M = self.model_of(prior).inertia(problem.poses)
         self.prior = inertias(M)
         self.prior_known = bool((self.prior > 0).all())

@@ -265,15 +265,18 @@ def test_ols_signs_are_tested_with_weights():
         found = trust_in(replace(evidence, observed=wrong, estimate=estimate)).line("physical")
         return found.level, "by weighted least squares" in found.text
 
-    found = [judged(*one) for one in (("ols", 1), ("ols", -1), ("wls", 1))]
-    assert found == [("do not use", True), ("do not use", False), ("ok", False)]
+    assert judged("ols", 1) == ("do not use", True)
+    assert [judged("ols", -1), judged("wls", 1)] == [("do not use", False), ("ok", False)]
 
 
 def test_endings_of_the_passes():
     none = fixed_point_line("diverged", "M", gains=False)
     assert (none.level, none.text[:18]) == ("do not use", "status diverged: M")
-    ends = ("not_confirmed", "joint 2", False), ("not_confirmed", "M", True), ("converged", None, 0)
-    lines = [fixed_point_line(status, why, gains=gains) for status, why, gains in ends]
+    lines = [
+        fixed_point_line("not_confirmed", "joint 2", gains=False),
+        fixed_point_line("not_confirmed", "M", gains=True),
+        fixed_point_line("converged", None, gains=False),
+    ]
     assert [line.level for line in lines] == ["caution", "caution", "ok"]
     assert "record the reference" in lines[1].text
 
