@@ -5,6 +5,22 @@ before motion, and the one stop of all drives, with the package can. It may use 
 `robot`, `protocol` and `files`.
 """
 
+from .before_motion import (
+    LISTEN_S,
+    Confirm,
+    Readings,
+    Uploads,
+    confirm_motion,
+    error_report,
+    is_homed,
+    joint_positions,
+    joints_of,
+    listen_for_others,
+    position_words,
+    refuse_enabled,
+    scan_nodes,
+    upload_segments,
+)
 from .configuring import Need, configure, needs_of, read_needs
 from .frames import Frame, Tap, block_of, command_ids, other_node, service_of, sign_of_master
 from .links import (
@@ -22,22 +38,6 @@ from .links import (
     socket_of,
 )
 from .logs import SUFFIXES, read_log
-from .looking import (
-    LISTEN_S,
-    Confirm,
-    Readings,
-    Uploads,
-    confirm_motion,
-    error_report,
-    is_homed,
-    joint_positions,
-    joints_of,
-    listen_for_others,
-    position_words,
-    refuse_enabled,
-    scan_nodes,
-    upload_segments,
-)
 from .master import OPERATIONAL, Master, Orders, send_order
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives

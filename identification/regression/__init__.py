@@ -49,6 +49,6 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
-from .span_band_lag import NOTHING, Lag
+from .span import NOTHING, Lag
 from .terms import friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_places, make_unknowns

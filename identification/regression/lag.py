@@ -32,7 +32,7 @@ from ..estimation import (
 )
 from .blocks import MotionBlock
 from .problem import Problem
-from .span_band_lag import Lag
+from .span import Lag
 
 MIN_ROWS = 20  # of a joint that moves, behind the filter; with fewer the next order is taken
 MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows

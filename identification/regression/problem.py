@@ -30,7 +30,7 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
-from .span_band_lag import LAG_REACH
+from .span import LAG_REACH
 
 FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins

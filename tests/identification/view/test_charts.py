@@ -107,7 +107,7 @@ def test_parameter_rows_have_intervals_differences():
     assert len(deviation_charts(own, [])[0].columns) == 1
 
 
-def test_test_figures_have_intervals_and_expected():
+def test_figures_of_tests_have_intervals():
     figures = (
         ("shoulder", 1.2, 0.2, -0.5),
         ("elbow", -0.5, 0.0, 0.0),
