@@ -230,7 +230,7 @@ class Words:
     """
 
     test: str
-    place: int = 1000  # the last
+    place: int
     by: Callable[[TrustInputs], TrustResult | None] | None = None
     of_data: bool = False
     wrong: str

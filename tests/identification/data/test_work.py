@@ -54,7 +54,7 @@ def work(request):
     return Work(request.getfixturevalue("cluster") if request.param == "cluster" else request.param)
 
 
-def test_results_in_task_order_errors_unchanged(work):
+def test_results_keep_task_order_and_errors_their_type(work):
     found = list(work.run(slowly_squared, [(k,) for k in range(4)]))
     assert [square for square, _ in found] == [0, 1, 4, 9]
     assert {pid == os.getpid() for _, pid in found} == {work.workers == 1}

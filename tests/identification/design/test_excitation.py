@@ -298,7 +298,7 @@ def test_no_worse_parameter_precedes_criterion(monkeypatch):
     assert sigma.tolist() == [0.8, 0.95]
 
 
-def test_searches_all_beyond_limit_fail_in_one_line(monkeypatch):
+def test_search_fails_if_every_motion_exceeds_limits(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     with pytest.raises(
         NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by"

@@ -491,7 +491,7 @@ def test_unusable_models_refused(why, fits, tmp_path, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["changed.json"]
 
 
-def test_do_not_use_fit_exported_on_request(fits, tmp_path, capsys):
+def test_refused_fit_is_exported_on_request(fits, tmp_path, capsys):
     path = changed(fits["consistent"], tmp_path, lambda c: c.update(verdict="do not use"))
     status, printed, _ = run(capsys, "export", path, *outputs_in(tmp_path), "--allow-untrusted")
     assert (status, "verdict do not use" in printed) == (0, True)

@@ -29,8 +29,7 @@ LAW = FIT["law"]["controller"]
 
 def with_controller(table: str, place: str = "") -> dict:
     """The fit of the TX40 with another [controller], at its place or at the `end`."""
-    others = tomllib.loads(MADE)
-    assert "structure" not in others["controller"]
+    assert "structure" not in tomllib.loads(MADE)["controller"]
     tables = REST[REST.index("\n[") :]
     text = f"{BEFORE}{tables}\n{table}" if place == "end" else f"{BEFORE}{table}{tables}"
     return {**FIT, "description": {**FIT["description"], "robot.toml": text}}

@@ -203,8 +203,7 @@ def test_lowest_row_rate_and_cutoff_shared():
     )
     fit = identify_ls(several(replace(fast, robot=wide), slow), Overrides())
     settings = [one.problem.settings for one in fit.recordings]
-    bandwidth_hz = slow.robot.controller.bandwidth_hz
-    assert {s.cutoff_hz for s in settings} == {5 * bandwidth_hz}
+    assert {s.cutoff_hz for s in settings} == {5 * slow.robot.controller.bandwidth_hz}
     rates = {
         one.problem.signals.sample_rate_hz / s.decimation
         for one, s in zip(fit.recordings, settings, strict=True)
@@ -439,7 +438,7 @@ def test_worst_recording_gives_recomputed_output():
     assert line.value == pytest.approx(1.2, abs=0.02)
 
 
-def test_each_simulated_with_own_parameters():
+def test_each_recording_is_simulated_with_its_own():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
         model = one.simulated.motion.tau.mean(axis=0) - one.tau.mean(axis=0)

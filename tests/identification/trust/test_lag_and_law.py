@@ -148,7 +148,7 @@ def test_data_beside_given_delay():
     assert (wrong.level, "the data give 0.002" in wrong.text) == ("caution", True)
 
 
-def test_delay_without_reference_counted_not_found():
+def test_lag_without_reference_widens_intervals():
     bare = replace(recorded("scara"), q_ref=None)
     fit = identify(bare, Overrides())
     (found,) = fit.data.lags
@@ -268,13 +268,12 @@ def test_autoregression_removed(block, monkeypatch):
     assert np.sum(x[used] ** 2) > 2 * np.sum(e[used] ** 2)
 
 
-def test_joint_without_delay_keeps_others_filter():
+def test_reversing_joint_keeps_filter_of_the_others():
     problem = make_problem(recorded("scara"), Overrides())
     share, speed = np.ones((2, 300, 2))
     speed[::3, 1] = 0.0  # the elbow reverses all the time
     x = np.random.default_rng(1).standard_normal((300, 2))
-    lag = LagFilters(problem, np.array([0]), share, x, speed)
-    assert lag.order == LAG_ORDERS[0]
+    assert LagFilters(problem, np.array([0]), share, x, speed).order == LAG_ORDERS[0]
     speed[:270:30] = 0.0  # now and then all
     assert LagFilters(problem, np.array([0]), share, x, speed).order == LAG_ORDERS[0]
     speed[::9] = 0.0
@@ -343,7 +342,7 @@ def test_given_gains_show_delay_of_noisy_commands():
     )
 
 
-def test_skipped_law_has_reason_estimated_is_used():
+def test_law_not_tested_says_why_found_law_is_used():
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)
     torque = with_controller(signals, structure="computed_torque")
@@ -376,8 +375,7 @@ def test_invisible_delay_assumed_with_advice():
     """An axis whose viscous friction a lag of ± 2 ms moves by some half-widths."""
     signals = replace(sound("emps", np.random.default_rng(2)).recording(2), effort_timing="unknown")
     fit = fit_by_default(replace(signals, q_ref=None))
-    line = fit.trust.line("lag")
-    assert line.level == "cannot tell"
+    assert fit.trust.line("lag").level == "cannot tell"
     assert fit.trust.verdict == "trust"
     (one,) = (of for of in fit.trust.assumed if of.what == "lag")
     assert one.value == "0 ± 2 ms"

@@ -131,7 +131,8 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     assert written["verdict"] == "do not use"
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
-    assert all({"test", "level", "value", "text"} <= {*line} for line in severe)
+    keys = {"test", "level", "value", "text", "finding", "case"}
+    assert all(keys <= {*line} <= keys | {"figures", "unit"} for line in severe)
     assert "physical" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)
     assert (status, "of joint elbow" in printed) == (0, True)
@@ -144,7 +145,7 @@ def with_keys(folder: Path, *keys: str) -> str:
     return str(folder / "robot.toml")
 
 
-def test_no_convergence_or_large_error_status_3(tmp_path, capsys):
+def test_bad_fit_or_validation_ends_with_status_3(tmp_path, capsys):
     out = tmp_path / "fit.json"
     robot = with_keys(tmp_path, "max_iterations = 1")
     status, _, err = run(capsys, "fit", SCARA, "--method", "iv", "--robot", robot, "--json", out)

@@ -50,8 +50,7 @@ NEGATIVE = {
 
 @pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
 def test_far_from_a_robot_needs_a_witness(monkeypatch, doubt):
-    alone = told(monkeypatch, **doubt)
-    assert alone.verdict == "caution"
+    assert told(monkeypatch, **doubt).verdict == "caution"
     for name, witness, named in (
         ("held", {"value": 20.5}, "20 % held out"),
         ("prior", NEGATIVE, NEGATIVE["finding"]),
@@ -74,7 +73,7 @@ def test_turned_sign_is_a_witness(monkeypatch):
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_two_wrong_signs_are_not_used(seed):
+def test_two_wrong_signs_make_fit_do_not_use(seed):
     setup = white("scara")
     wrong = two_signs(setup, np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
@@ -123,7 +122,7 @@ def with_torque(setup: SetUp, of):
     return setup.changed(lambda signals: replace(signals, effort=signals.effort + of(signals)))
 
 
-def test_stop_and_effort_limit_are_named():
+def test_nonlinear_spring_and_effort_limit_are_named():
     setup = without = white("scara")
 
     def stop(signals):

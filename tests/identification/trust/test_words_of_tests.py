@@ -16,6 +16,7 @@ PATHS = [
     *(ROOT / "identification" / "methods").glob("*.py"),
 ]
 ROWS = {key: row for file in FILES for key, row in vars(file).items() if isinstance(row, Words)}
+MADE_BEFORE = {"fixed point", "control law", "position noise", "held-out blocks"}
 NAMED = {**ROWS, **{f"WORDS[{test!r}]": row for test, row in WORDS.items()}}
 
 
@@ -73,3 +74,11 @@ def test_table_has_rows_of_all_files():
     ]
     assert {file.__name__ for file in files} == {file.__name__ for file in FILES}
     assert [*WORDS.values()] == sorted(ROWS.values(), key=lambda row: (not row.of_data, row.place))
+
+
+def test_every_row_has_its_function_and_place():
+    """A test that no row has is never made; those without a function are made with the solution."""
+    functions = {x for file in FILES for name, x in vars(file).items() if name.endswith("_test")}
+    assert {row.by for row in WORDS.values()} == {None, *functions}
+    assert {test for test, row in WORDS.items() if row.by is None} == MADE_BEFORE
+    assert len({row.place for row in WORDS.values()}) == len(WORDS)
