@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..bus import OPERATIONAL, Master, Orders
 from ..errors import BusFaultError
 from ..protocol import FOLLOWS, REMOTE, Command, State, error_words, status_words, toward
-from ..robot import Robot
+from ..robot import Joint, Robot
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
 # One transition at a time, so that a drive can decelerate and engage its brake
@@ -134,23 +134,25 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
         return BusFaultError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
     for watch in master.nodes:
-        unheard_ns = now_ns - watch.heard_ns if watch.beats and watch.heard_ns else 0
-        for is_fault, text in (
-            (watch.emergency is not None, f"emergency {error_words(watch.emergency or 0)}"),
-            (watch.booted, "has restarted"),
-            (
-                watch.started and watch.nmt != OPERATIONAL,
-                f"left operational (NMT state {watch.nmt})",
-            ),
-            (  # a heartbeat that left the drive before START may arrive after it
-                watch.unstarted >= LOST_HEARTBEATS,
+        node = f"node {watch.drive.node} ({watch.drive.name})"
+        if watch.emergency is not None:
+            return BusFaultError(f"emergency {error_words(watch.emergency)}", place=node)
+        if watch.booted:
+            return BusFaultError("has restarted", place=node)
+        if watch.started and watch.nmt != OPERATIONAL:
+            return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
+        # A heartbeat that left the drive before START may arrive after it.
+        if watch.unstarted >= LOST_HEARTBEATS:
+            return BusFaultError(
                 f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})",
-            ),
-            (unheard_ns > lost_ns, f"heartbeat lost for {unheard_ns * 1e-9:.2f} s"),
-            (watch.silent_syncs >= SILENT_SYNCS, f"{watch.silent_syncs} SYNC not answered"),
-        ):
-            if is_fault:
-                return BusFaultError(text, place=f"node {watch.drive.node} ({watch.drive.name})")
+                place=node,
+            )
+        if watch.beats and watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
+            return BusFaultError(
+                f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
+            )
+        if watch.silent_syncs >= SILENT_SYNCS:
+            return BusFaultError(f"{watch.silent_syncs} SYNC not answered", place=node)
     return None
 
 
@@ -187,37 +189,50 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
     """The fault of a joint: limits of position, speed, following error, and motion
     while drives are enabled.
     """
-    q, file, at_rest = motion.measured[-1], master.bus.file, np.zeros(robot.n)
-    moved = q - motion.start if motion.enabling and motion.start is not None else at_rest
-    behind = at_rest if motion.target is None else np.abs(q - motion.target)
-    speed = at_rest
-    if len(motion.measured) > SPEED_SYNCS:
-        passed = np.abs(q - motion.measured[-1 - SPEED_SYNCS])
-        speed = passed / (SPEED_SYNCS * file.sync_period_s)
+    q, file = motion.measured[-1], master.bus.file
+    before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None
+    dq = None if before is None else (q - before) / (SPEED_SYNCS * file.sync_period_s)
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
-        still = (
-            np.radians(file.enable_motion_deg) if joint.type == "revolute" else file.enable_motion_m
+        if not low <= q[i] <= high:
+            return _limit_fault(
+                joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}"
+            )
+        largest = (
+            float(np.radians(file.enable_motion_deg))
+            if joint.type == "revolute"
+            else file.enable_motion_m
         )
-        error, fastest = joint.si("following_error"), joint.si("speed")
-        for key, value, is_fault, per, expected in (
-            ("position", q[i], not low <= q[i] <= high, "", f"{low:.4g} to {high:.4g}"),
-            (
+        if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
+            return _limit_fault(
+                joint,
                 "motion while drives were enabled",
-                moved[i],
-                abs(moved[i]) > still,
-                "",
-                f"{still:.4g} at most",
-            ),
-            ("following error", behind[i], behind[i] > error, "", f"{error:.4g} at most"),
-            ("speed", speed[i], speed[i] > SPEED_MARGIN * fastest, "/s", f"{fastest:.4g} at most"),
-        ):
-            if is_fault:
-                return BusFaultError(
-                    place=joint.name,
-                    key=key,
-                    value=float(value),
-                    shown=f"{value:.4g} {joint.position_unit}{per}",
-                    expected=expected,
-                )
+                q[i] - motion.start[i],
+                joint.position_unit,
+                f"{largest:.4g} at most",
+            )
+        largest = joint.si("following_error")
+        if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
+            return _limit_fault(
+                joint,
+                "following error",
+                abs(q[i] - motion.target[i]),
+                joint.position_unit,
+                f"{largest:.4g} at most",
+            )
+        largest = joint.si("speed")
+        if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
+            return _limit_fault(
+                joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most"
+            )
     return None
+
+
+def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> BusFaultError:
+    return BusFaultError(
+        place=joint.name,
+        key=key,
+        value=float(value),
+        shown=f"{value:.4g} {unit}",
+        expected=expected,
+    )

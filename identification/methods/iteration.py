@@ -96,7 +96,7 @@ class Loop:
             system, instrumental_variables(system, Z, self.start.estimate.weights)
         )
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a start may be anything
+    @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
     def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
         """Make one pass: simulate, find the lag, estimate, and compare with the values before.
 
@@ -137,8 +137,9 @@ class Loop:
         change, w = np.abs(estimate.beta - x[self.fitted]), estimate.weights[system.joint_of_row]
         norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
         norm_change, size = abs(estimate.residual_norm - norm_before), np.abs(estimate.beta)
-        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-        in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
+        with np.errstate(divide="ignore"):
+            in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+            in_percent = np.where(size > 2 * estimate.sigma, 100 * change / size, 0.0)
         norm_percent = 100 * norm_change / norm_before if norm_before > 0 else 0.0
         return Pass(
             x=rows.x,
