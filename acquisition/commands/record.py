@@ -145,7 +145,7 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         if recorded.path is None
         else "no samples, but the frames are in the recording"
     )
-    COMMAND_LINE.require(not recorded.no_samples, text=f"{left}: {recorded.no_samples}")
+    Location("").require(not recorded.no_samples, text=f"{left}: {recorded.no_samples}")
     return 0
 
 

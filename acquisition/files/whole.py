@@ -154,7 +154,8 @@ def _refuse_other_kind(path: Path, kind: str) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
+    if os.path.realpath(a) == os.path.realpath(b):  # also for a loop of links
+        return True
     with suppress(OSError):  # a missing file is reported when it is read
-        # the real paths also for a loop of links
-        return os.path.realpath(a) == os.path.realpath(b) or a.samefile(b)
+        return a.samefile(b)
     return False

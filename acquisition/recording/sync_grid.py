@@ -24,9 +24,9 @@ MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
 MAX_REPEAT_PERIODS = 0.65  # after a SYNC of another producer that was in time: a repeat
 MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
-# from a PDO's median time after SYNC, and so many median deviations from that: if it never came
-# twice in an interval; else
-_MAX_USUAL_PERIODS, _MAX_USUAL_RATIO = 0.05, (5.0, 1.5)
+# from a PDO's median time after SYNC, and so many median deviations from that:
+_MAX_USUAL_PERIODS = 0.05
+_MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
 # a step by so many to later, or to earlier times, that lasts, is no delay
 _MIN_LASTING_PERIODS, _MIN_SOONER_PERIODS = 0.6, 0.4

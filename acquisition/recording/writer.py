@@ -216,9 +216,10 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             text=f"CAN channel {channel!r}",
             expected="letters, digits and _ . - only",
         )
-        Location(f"{self._place}: {topic}").require(
-            block.dtype == FRAME, text=f"rows of {block.dtype}", expected=str(FRAME)
-        )
+        if block.dtype != FRAME:
+            Location(f"{self._place}: {topic}").refuse(
+                text=f"rows of {block.dtype}", expected=str(FRAME)
+            )
         check_frames(block, f"{self._place}: {topic}")
         for some in in_parts(block):
             tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1

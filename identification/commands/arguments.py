@@ -13,14 +13,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from acquisition.commands import Progress, add_path
-from acquisition.errors import Location, one_line
+from acquisition.errors import COMMAND_LINE, Location, one_line
 
 from ..options import workers
 
 if TYPE_CHECKING:
     from .. import data, report, view
-
-COMMAND_LINE = Location("")  # of errors about options
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":

@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
-from acquisition.errors import Location, one_line
+from acquisition.errors import COMMAND_LINE, Location, one_line
 
 from ..options import list_of_names, list_of_ratios, list_of_values
-from .arguments import COMMAND_LINE, refuse_outputs
+from .arguments import refuse_outputs
 
 if TYPE_CHECKING:
     from ..export import Chain

@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
-from acquisition.errors import Location
+from acquisition.errors import COMMAND_LINE, Location
 
 from ..options import Overrides
-from .arguments import COMMAND_LINE, add_recordings, print_results, refuse_outputs, sources
+from .arguments import add_recordings, print_results, refuse_outputs, sources
 
 
 def add(parser: argparse.ArgumentParser) -> None:

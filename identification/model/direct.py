@@ -181,7 +181,7 @@ class DirectModel:
 
 
 def direct_model_of_base(dynamics: InverseModel, base: BaseParameters, beta: Array) -> DirectModel:
-    """The same of base parameters beta (b,)."""
+    """Return the equation of motion (1) of a robot with base parameters beta (b,)."""
     return direct_model(dynamics, base.standard_parameters(beta))
 
 

@@ -123,9 +123,10 @@ def random_reference(
     and for more than a day of them.
     """
     samples = duration_s * sample_rate_hz
-    Location(f"{duration_s:g} s at {sample_rate_hz:g} Hz").require(
+    Location("").require(
         MIN_SAMPLES <= samples <= MAX_SAMPLES,
-        text=f"{samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}",
+        text=f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; "
+        f"expected {MIN_SAMPLES} to {MAX_SAMPLES}",
     )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
     return by_rows(

@@ -73,7 +73,7 @@ def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
         marks=[
             Mark(
                 row=row,
-                value=max(100 * p.half / abs(p.value) if p.value else 100.0, 0.01),
+                value=min(max(p.half_percent, 0.01), 100.0),
                 color=_look(p.essential)[0],
                 shape="bar",
             )
