@@ -215,6 +215,8 @@ def make_settings(
         if signals.robot.identified_gain is None
         else ()
     )
+    # Before filters and spans: these are refused for what wrong positions make of them.
+    positions = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
     # 0 for no low-pass; None for that of the rule
     stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
     cutoff_hz = _cutoff_hz(signals, stated_hz)
@@ -249,7 +251,7 @@ def make_settings(
         overloads=overloads,
         warnings=(
             *signals.assumed,
-            *check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
+            *positions,
             *overloads,
             *_warnings_of_filters(signals, stated_hz, cutoff_hz, decimator.factor),
             *(f"joint {name} does not move" for name in standing),

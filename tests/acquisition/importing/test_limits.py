@@ -21,7 +21,7 @@ from acquisition.robot import (
     load_robot,
     robot_from_files,
 )
-from identification.data import Signals, load_signals
+from identification.data import Signals, load_signals, signals_from_arrays
 from identification.regression import Overrides, make_problem, make_settings
 from identification.results import identify
 
@@ -91,6 +91,14 @@ def test_impossible_motion_is_refused(q, words, without):
     told = refusal(q)
     assert all(word in told for word in words)
     assert not without or without not in told.split("expected")[1]
+
+
+@pytest.mark.parametrize("n", [40, 4000])
+def test_wrong_positions_refused_before_their_span(n):
+    """A fit would else refuse a recording that is too short, or a joint that stands."""
+    q = np.full((n, 6), 50.0)
+    with pytest.raises(BadInputError, match="limits -180 deg and 180 deg"):
+        make_settings(signals_from_arrays(q, q, 1000.0, TX40), Overrides())
 
 
 def test_jump_of_72_degrees_is_refused():
