@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from acquisition.errors import Location
+from acquisition.errors import BadInputError, Location
 from acquisition.robot import Payload, Robot
 
 from .. import model as dynamics
@@ -299,8 +299,8 @@ def _inverse(M: Array) -> Array:
         scaled = M * d[:, None] * d
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
-    except (np.linalg.LinAlgError, ValueError):
-        Location("").refuse(
-            text="no reference within the limits excites all parameters",
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise BadInputError(
+            "no reference within the limits excites all parameters",
             expected="wider limits, or fewer friction terms",
-        )
+        ) from error

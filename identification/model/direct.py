@@ -62,8 +62,10 @@ class DirectModel:
 
     def inertia(self, q: Array) -> Array:
         """Inertia matrices (N, n, n) at the positions q (N, n)."""
-        M = [pin.crba(self.rigid, self.data, qk) for qk in np.ascontiguousarray(q)]
-        return symmetric(np.reshape(M, (-1, *self.rotor.shape))) + self.rotor
+        M = np.empty((len(q), *self.rotor.shape))
+        for k, qk in enumerate(np.ascontiguousarray(q)):
+            M[k] = pin.crba(self.rigid, self.data, qk)
+        return symmetric(M) + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Upper triangle of M (n, n) without rotors, and h (n,) without friction, at one state."""
@@ -191,6 +193,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     Load friction depends on the torque of chi's links; with `BaseParameters.standard_parameters`
     these include the rotor inertias that are regrouped with links' parameters.
     """
+    assert len(chi) == dynamics.p
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     links = chi[link_columns(dynamics)]
     links[links[:, -1] == 0.0, -1] = 1e-6  # pinocchio divides by the masses

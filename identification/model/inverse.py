@@ -231,8 +231,7 @@ class InverseModel:
 
 def link_columns(idm: InverseModel) -> Ints:
     """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
-    place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
-    return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
+    return np.flatnonzero(idm.of_links).reshape(-1, len(LINK))
 
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:

@@ -66,8 +66,7 @@ def test_demo_runs_from_bus_to_plot(capsys, tmp_path):
     out = capsys.readouterr().out
     assert "TX40: IV (as requested), converged, trust; " in out
     compare_with_readme(out)
-    within = int(out.split("iv: ")[1].split(" of 60 true values inside")[0])
-    assert within >= 56
+    assert int(out.split("iv: ")[1].split(" of 60 true values inside")[0]) >= 56
     names = {p.name for p in (tmp_path / "out").iterdir()}
     assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
     assert has_one_parent_each(tmp_path / "out" / "demo.rrd")

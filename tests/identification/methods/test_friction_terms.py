@@ -287,8 +287,7 @@ def test_negative_friction_reported_signs_not(values, told):
     beta, chi = (
         np.array([p.value for p in of]) for of in (made.base_parameters, fit.standard_parameters)
     )
-    power = recorded_power([one.problem for one in fit.recordings], beta)
-    assert (power @ chi).min() > 0
+    assert (recorded_power([one.problem for one in fit.recordings], beta) @ chi).min() > 0
 
 
 # --- several recordings

@@ -41,8 +41,7 @@ def test_real_arm_becomes_consistent(consistent):
     c, problem = consistent.consistent_set, consistent.problem
     value = {p.name: p.value for p in consistent.standard_parameters}
     assert tuple(value) == problem.model.names
-    physical = physical_parameters(problem.model)
-    assert lowest(physical, np.array([*value.values()])) > 0
+    assert lowest(physical_parameters(problem.model), np.array([*value.values()])) > 0
     assert value["Ia5"] > value["Ia6"] > 0
     assert value["Fv5"] * value["Fv6"] > value["Fvm6"] ** 2
     assert (
