@@ -131,8 +131,8 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     assert written["verdict"] == "do not use"
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
-    keys = {"test", "level", "value", "text", "finding", "case"}
-    assert all(keys <= {*line} <= keys | {"figures", "unit"} for line in severe)
+    keys = {"test", "level", "value", "text", "case"}
+    assert all(keys <= {*line} <= keys | {"finding", "figures", "unit"} for line in severe)
     assert "physical" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)
     assert (status, "of joint elbow" in printed) == (0, True)
