@@ -10,8 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..model import DirectModel, inertia_unit, torque_of_links
 from ..regression import MotionBlock, smooth
-from .about import About
-from .kinds import IN_FAST_ROWS, KINDS, LAG, MIN_TAKEN_PERCENT, stride_of
+from .kinds import IN_FAST_ROWS, KINDS, LAG, MIN_TAKEN_PERCENT, About, stride_of
 
 MIN_T = 5.0  # deviations, above chance
 

@@ -58,8 +58,8 @@ def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
     rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
     least = MIN_RIVAL * first.together_percent
     told = [first, *(x for x in rivals if x.together_percent > least)][:2]
-    if len(told) > 1:  # a rotor that is allowed takes what another kind explains, and hides it
-        told.sort(key=lambda x: x.kind == kinds.ROTOR)
+    # a rotor that is allowed takes what another kind explains, and hides it
+    told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
         x.finding if x is not told[0] and x.kind == kinds.ROTOR else f"{x.finding}: {x.advice}"
         for x in told
@@ -178,9 +178,8 @@ def _scored(
     acts = (evidence.observed.system.joint_of_row[:, None] == own) | (own < 0)
     C = _columns(evidence, terms) * evidence.weight[:, None]
     C *= acts & (evidence.observed.fast[:, None] | (kind not in kinds.IN_FAST_ROWS))
-    fit, W, rows = evidence.estimate, evidence.W, np.ones(1)
-    if fast:
-        fit, W, rows = _by_fast_rows(evidence, kind, acts[:, 0])
+    whole = evidence.estimate, evidence.W, np.ones(1)
+    fit, W, rows = _by_fast_rows(evidence, kind, acts[:, 0]) if fast else whole
     rho = rows * (evidence.Y - W @ fit.beta)
     by_column = fit.bread @ (fit.Q.T @ C)  # beta solved again
     z, apart = C - fit.Q @ (fit.bread.T @ (W.T @ C)), (C - W @ by_column) * rows[:, None]

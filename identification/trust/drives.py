@@ -1,4 +1,4 @@
-"""Tests of the drives: the lag of their torque, and their control law.
+"""Tests of the drives: the lag of their torque, their control law, and limits not stated.
 
 The control law that is found in the recording does not depend on the robot's model, so its test
 detects what a fit cannot: an effort of the wrong scale or sign, which scales every parameter and
@@ -16,6 +16,7 @@ from ..control import MAX_LAW_PERCENT, FoundLaw
 from ..estimation import intervals_of
 from ..regression import LAG_ORDERS, Lag, Problem
 from ..report import TrustResult
+from ..simulation import unstated_limits
 from .evidence import LEVELS, Case, TrustInputs, Words, assume, figures_of, worst_of
 
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
@@ -39,8 +40,7 @@ def _line_of_lag(evidence: TrustInputs, lag: Lag) -> TrustResult | None:
     late, half, sd_ms = lag.value_s * fs, lag.half_width_s * fs, 1e3 * lag.sd_s
     found, found_sd, _ = lag.found or (lag.value_s, 0.0, 0)
     delay, delay_half = (fs * x for x in lag.delay_s or (0.0, 0.0))
-    lost = lag.found is None
-    exogenous = all(one.signals.q_ref is not None for one in evidence.problems)
+    lost, exogenous = lag.found is None, all(x.signals.q_ref is not None for x in evidence.problems)
     unseen = assume(
         "lag",
         lag=f"{value_ms:.2g} ± {sd_ms:.2g} ms",
@@ -314,3 +314,39 @@ def _gains(found: FoundLaw, j: int) -> str:
         + ("" if found.described is None else f" of {found.described[i, j]:.5g}")
         for i in np.flatnonzero(found.used)
     )
+
+
+def saturation_test(evidence: TrustInputs) -> TrustResult | None:
+    """Whether drives saturate at a limit that is not stated, where controller or simulated
+    robot are not confirmed.
+    """
+    lines = filter(None, map(evidence.made.get, ("fixed point", LAW.test)))
+    if all(line.level not in LEVELS[:2] for line in lines):
+        return None
+    limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
+    text = "; ".join(dict.fromkeys(limits))
+    return SATURATION.judge(
+        {"no fixed point": text and evidence.ending == "none", "not confirmed": text},
+        limits=text,
+        first=text.split(" in ")[0],
+    )
+
+
+SATURATION = Words(
+    test="saturation",
+    place=20,
+    by=saturation_test,
+    of_data=True,
+    wrong="a drive saturates at a limit that is not described, so the simulated robot does not",
+    advice="state `saturation` of the motor",
+    detects="Only printed if the law or the simulated robot is not confirmed and drives "
+    "saturate at a limit that is not stated: over 1 % of their efforts are within 2 to 8 % "
+    "of their largest, and three times as many as in each of the next two ranges as wide",
+    limit="`do not use`: there is no fixed point. `caution`: there is one",
+    cases={
+        "no fixed point": Case(
+            "do not use", "{limits}", "state saturation of the motor", "{first}"
+        ),
+        "not confirmed": Case("caution", "{limits}", "state saturation of the motor", "{first}"),
+    },
+)

@@ -41,8 +41,11 @@ def figures_of(
 
 def worst_of(lines: Iterable[TrustResult | None]) -> TrustResult | None:
     """The first of the cautions, or of all, with the largest figure; None for no line."""
-    made = filter(None, lines)
-    return max(made, key=lambda x: (x.level == "caution", abs(x.value or 0.0)), default=None)
+    return max(
+        filter(None, lines),
+        key=lambda x: (x.level == "caution", abs(x.value or 0.0)),
+        default=None,
+    )
 
 
 Part = Bools  # of the time: which spans, counted through all recordings
