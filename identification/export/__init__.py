@@ -16,6 +16,12 @@ from .description import (
     robot_of_chain,
 )
 from .exported_model import split_parameters
-from .exporting import export_fit, export_model, model_of_fit, write_models
+from .exporting import (
+    export_fit,
+    export_model,
+    model_of_fit,
+    replace_in_tables,
+    replace_parameters,
+    write_models,
+)
 from .formats import make_urdf, quaternion, roll_pitch_yaw
-from .tables import replace_in_tables, replace_parameters

@@ -1,8 +1,10 @@
 """Read the joints of a URDF to identify: the longest serial chain, or the joints named; the
-others stay locked at zero.
+others stay locked at zero. What is not one tree of links and joints is refused.
 """
 
+import math
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.errors import listed
+from acquisition.errors import Location, listed
 from acquisition.files import read_bytes
 
 from ..errors import BadInputError
-from .urdf_tree import MOVABLE, UrdfTree, attribute_of, finite_number
 
+MOVABLE = ("revolute", "continuous", "prismatic")
+_TYPES = (*MOVABLE, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _JOINT_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # as in robot.toml
 _MAX_ROUNDING = 1e-6  # relative to the largest principal moment: CAD programs write few digits
@@ -30,6 +33,123 @@ _OPTION_FIELDS = {"--range": "position"} | {
     for name in ("speed", "acceleration", "following-error", "ratio", "drive-gain")
 }
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
+
+
+class UrdfTree:
+    """A URDF that is one tree: its links and joints by name, and `above`, the joint
+    that carries each link.
+    """
+
+    def __init__(self, text: bytes, place: Location) -> None:
+        try:
+            robot = ET.fromstring(text)
+        except (ET.ParseError, ValueError, LookupError) as error:
+            raise BadInputError(
+                f"is not XML: {error}", place=place.name, expected="a URDF"
+            ) from error
+        place.require(
+            robot.tag == "robot",
+            "its root",
+            robot.tag,
+            "<robot>, of a URDF",
+            shown=f"<{robot.tag}>",
+        )
+        place.require(
+            not any("xacro" in str(element.tag) for element in robot.iter()),
+            text="has xacro elements",
+            expected="a URDF: xacro FILE > robot.urdf makes it",
+        )
+        self.place, self.name = place, robot.get("name") or ""
+        self.links, self.joints = (_by_name(robot, tag, place) for tag in ("link", "joint"))
+        self.above: dict[str, str] = {}
+        for name, joint in self.joints.items():
+            self._check_joint(name, joint)
+            self.above[_end(joint, "child")] = name
+        roots = [link for link in self.links if link not in self.above]
+        place.require(
+            len(roots) == 1,
+            text=f"{len(roots)} root links: {listed(roots)}"
+            if roots
+            else "no root link: its joints form a loop",
+            expected="one base link, which is no joint's child",
+        )
+        if loop := [
+            link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)
+        ]:
+            place.refuse(
+                text=f"links {listed(loop)} are in a loop of joints",
+                expected="a tree below one base link",
+            )
+
+    def _check_joint(self, name: str, joint: ET.Element) -> None:
+        at, kind = Location(f"{self.place}: joint {name!r}"), joint.get("type")
+        at.require(kind in _TYPES, "type", kind, f"one of {', '.join(_TYPES)}")
+        child = _end(joint, "child")
+        for tag, link in (("parent", _end(joint, "parent")), ("child", child)):
+            at.require(
+                link in self.links, tag, link or None, f"one of the links {listed([*self.links])}"
+            )
+        at.require(
+            child not in self.above,
+            "child",
+            child,
+            f"one parent joint per link; {self.above.get(child)!r} is another of this one",
+        )
+
+    def path(self, joint: str | None) -> list[str]:
+        """The joints from the root to `joint`, including it; more than the URDF
+        has if they form a loop.
+        """
+        path: list[str] = []
+        while joint is not None and len(path) <= len(self.joints):
+            path.append(joint)
+            joint = self.above.get(_end(self.joints[joint], "parent"))
+        return path[::-1]
+
+    @property
+    def movable(self) -> list[str]:
+        """Revolute, continuous and prismatic joints that mimic no other joint."""
+        return [
+            name
+            for name, j in self.joints.items()
+            if j.get("type") in MOVABLE and j.find("mimic") is None
+        ]
+
+
+def _by_name(robot: ET.Element, tag: str, place: Location) -> dict[str, ET.Element]:
+    elements: dict[str, ET.Element] = {}
+    for i, element in enumerate(robot.findall(tag), 1):
+        name = element.get("name", "")
+        Location(f"{place}: {tag} {i}").require(
+            name and name not in elements,
+            "name",
+            name or None,
+            "a name not used before" if name else "a name",
+        )
+        elements[name] = element
+    place.require(elements, text=f"has no {tag}", expected="links, and joints between them")
+    return elements
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    """The `parent` or `child` link of a joint; empty if missing."""
+    return attribute_of(joint, tag, "link") or ""
+
+
+def attribute_of(element: ET.Element, tag: str, name: str) -> str | None:
+    """Return an attribute of the first child `tag`; None without one."""
+    child = element.find(tag)
+    return None if child is None else child.get(name)
+
+
+def finite_number(text: str | None, place: Location, key: str) -> float:
+    """Read a number of a URDF; what is none or infinite is refused."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    place.require(math.isfinite(value), key, text, "a finite number")
+    return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,27 +208,22 @@ class Chain:
         `--bandwidth-hz` the lowest is used. Raises `BadInputError`: a wrong number of values, a
         range outside the URDF's.
         """
-        joints, n = list(self.joints), len(self.joints)
+        joints, n, place = list(self.joints), len(self.joints), Location(self.place)
         for option, values in options.items():
-            if len(values) not in (1, n):
-                raise BadInputError(
-                    place=self.place,
-                    key=option,
-                    value=values,
-                    shown=f"{len(values)} values",
-                    expected=f"one, or {n} for {', '.join(joint.name for joint in joints)}",
-                )
-            if (
-                len(values) < n
-                and len({joint.type for joint in joints}) > 1
-                and option in _OPTION_FIELDS
-            ):
-                raise BadInputError(
-                    place=self.place,
-                    key=option,
-                    value=values[0],
-                    expected=f"{n} values: some joints are in rad, others in m",
-                )
+            place.require(
+                len(values) in (1, n),
+                option,
+                values,
+                f"one, or {n} for {', '.join(joint.name for joint in joints)}",
+                shown=f"{len(values)} values",
+            )
+            alike = len({joint.type for joint in joints}) == 1 or option not in _OPTION_FIELDS
+            place.require(
+                alike or len(values) == n,
+                option,
+                values[0],
+                f"{n} values: some joints are in rad, others in m",
+            )
             for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
                 if option == "--range":
@@ -125,15 +240,13 @@ class Chain:
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
     low, high = joint.position or (-side, side)
-    narrowed = max(low, -side), min(high, side)
-    if not narrowed[0] < narrowed[1]:
-        unit = "m" if joint.type == "prismatic" else "rad"
-        raise BadInputError(
-            place=f"{place}: joint {joint.name!r}",
-            key="--range",
-            value=side,
-            expected=f"a range that overlaps the URDF's, {low:g} to {high:g} {unit}",
-        )
+    narrowed, unit = (max(low, -side), min(high, side)), "m" if joint.type == "prismatic" else "rad"
+    Location(f"{place}: joint {joint.name!r}").require(
+        narrowed[0] < narrowed[1],
+        "--range",
+        side,
+        f"a range that overlaps the URDF's, {low:g} to {high:g} {unit}",
+    )
     return narrowed
 
 
@@ -145,35 +258,28 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     two chains of equal length, invalid numbers, reversed limits.
     """
     text = read_bytes(path)
-    tree = UrdfTree(text, str(path))
+    tree = UrdfTree(text, Location(str(path)))
     for i, name in enumerate(names):
-        if name not in tree.movable or name in names[:i]:
-            raise BadInputError(
-                place=tree.place,
-                key="--joints",
-                value=name,
-                expected=f"one of {listed(tree.movable)}, each once",
-            )
+        tree.place.require(
+            name in tree.movable and name not in names[:i],
+            "--joints",
+            name,
+            f"one of {listed(tree.movable)}, each once",
+        )
     chain = list(names) or _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
-        if kind in ("floating", "planar"):
-            raise BadInputError(
-                place=f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}",
-                key="type",
-                value=kind,
-                expected="fixed, revolute, continuous or prismatic joints on a fixed base",
-            )
+        Location(f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}").require(
+            kind not in ("floating", "planar"),
+            "type",
+            kind,
+            "fixed, revolute, continuous or prismatic joints on a fixed base",
+        )
     rigid: dict[str, list[str]] = {name: [] for name in chain}
     for link in tree.links:
-        carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
-        if carried:  # a link moves with the last joint of the chain below it
+        # a link moves with the last joint of the chain below it
+        if carried := [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]:
             rigid[carried[-1]].append(link)
-    others = [
-        name
-        for name, joint in tree.joints.items()
-        if name not in chain and joint.get("type") != "fixed"
-    ]
     lacks, notes = _check_inertials(tree, rigid)
     return Chain(
         place=str(path),
@@ -183,7 +289,11 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         or "robot",
         text=text,
         joints=tuple(_read_joint(tree, name) for name in chain),
-        locked=tuple(_describe_locked(tree, name) for name in others),
+        locked=tuple(
+            _describe_locked(tree, name)
+            for name, joint in tree.joints.items()
+            if name not in chain and joint.get("type") != "fixed"
+        ),
         rigid=tuple(tuple(links) for links in rigid.values()),
         notes=(*lacks, *notes),
         has_inertials=not lacks,
@@ -192,12 +302,8 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 
 def _find_longest(tree: UrdfTree) -> list[str]:
     free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
-    if not free:
-        raise BadInputError(
-            "no joint moves",
-            place=tree.place,
-            expected=f"joints of the types {', '.join(MOVABLE)}",
-        )
+    types = f"joints of the types {', '.join(MOVABLE)}"
+    tree.place.require(free, text="no joint moves", expected=types)
     chains = {
         name: [joint for joint in tree.path(name) if joint in free]
         for name in tree.movable
@@ -205,50 +311,41 @@ def _find_longest(tree: UrdfTree) -> list[str]:
     }
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
-    if len(last) > 1:
-        raise BadInputError(
-            f"{len(last)} chains of {most} joints each, which end at {listed(last)}",
-            place=tree.place,
-            expected="--joints with the joints of one chain",
-        )
+    tree.place.require(
+        len(last) == 1,
+        text=f"{len(last)} chains of {most} joints each, which end at {listed(last)}",
+        expected="--joints with the joints of one chain",
+    )
     return chains[last[0]]
 
 
 def _describe_locked(tree: UrdfTree, name: str) -> str:
     joint = tree.joints[name]
-    mimicked = (
-        f", mimics {attribute_of(joint, 'mimic', 'joint')}"
-        if joint.find("mimic") is not None
-        else ""
-    )
-    return f"{name}: {joint.get('type')}{mimicked}"
+    text = f"{name}: {joint.get('type')}"
+    if joint.find("mimic") is None:
+        return text
+    return f"{text}, mimics {attribute_of(joint, 'mimic', 'joint')}"
 
 
 def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
-    if not _JOINT_NAME.fullmatch(name):
-        raise BadInputError(
-            place=tree.place,
-            key="name of a joint",
-            value=name,
-            expected="1 to 64 letters, digits, spaces, and _ . -, as in robot.toml",
-        )
-    joint, at = tree.joints[name], f"{tree.place}: joint {name!r}"
+    tree.place.require(
+        _JOINT_NAME.fullmatch(name),
+        "name of a joint",
+        name,
+        "1 to 64 letters, digits, spaces, and _ . -, as in robot.toml",
+    )
+    joint, at = tree.joints[name], Location(f"{tree.place}: joint {name!r}")
 
     def number(tag: str, attribute: str) -> float:
         text = attribute_of(joint, tag, attribute)
         return 0.0 if text is None else finite_number(text, at, f"{tag} {attribute}")
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
-    if kind != "continuous" and low > high:
-        raise BadInputError(
-            place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}"
-        )
+    fits = kind == "continuous" or low <= high
+    at.require(fits, "limit lower", low, f"less than upper = {high:g}")
     numbers = {key: number(*where) for key, where in _NUMBERS.items()}
     for key, value in numbers.items():
-        if value < 0:
-            raise BadInputError(
-                place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0"
-            )
+        at.require(value >= 0, " ".join(_NUMBERS[key]), value, "a number from 0")
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
@@ -269,7 +366,7 @@ def _check_inertials(
     """
     negative, notes, masses = list[str](), list[str](), dict.fromkeys(rigid, 0.0)
     for joint, link in ((joint, link) for joint, links in rigid.items() for link in links):
-        inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
+        inertial, at = tree.links[link].find("inertial"), Location(f"{tree.place}: link {link!r}")
         if inertial is None:
             continue
         m = finite_number(attribute_of(inertial, "mass", "value"), at, "mass")

@@ -8,10 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.errors import one_line
+from acquisition.errors import COMMAND_LINE, Location, one_line
 from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 
-from ..errors import BadInputError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint, read_chain
 
@@ -44,10 +43,8 @@ def read_robot(
     if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
-        raise BadInputError(
-            f"{option} has no effect",
-            place=str(path),
-            expected="a URDF; robot.toml has a key for it",
+        Location(str(path)).refuse(
+            text=f"{option} has no effect", expected="a URDF; robot.toml has a key for it"
         )
     return load_robot(path)
 
@@ -55,10 +52,12 @@ def read_robot(
 def chain_of_letters(letters: str) -> Chain:
     """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
-    if not types or None in types:
-        raise BadInputError(
-            key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR"
-        )
+    COMMAND_LINE.require(
+        types and None not in types,
+        "--dh",
+        letters,
+        "a letter for each joint, R or P, such as RRPRRR",
+    )
     return Chain(
         place="--dh",
         name="robot",

@@ -296,13 +296,12 @@ def _pose(element: Element) -> Array:
     """The `<origin>` of a joint or an inertial (4, 4)."""
     from scipy.spatial.transform import Rotation
 
-    T = np.eye(4)
     xyz, rpy = (
         [float(x) for x in (_attribute(element, "origin", key) or "0 0 0").split()]
         for key in ("xyz", "rpy")
     )
-    T[:3, :] = np.c_[Rotation.from_euler("xyz", rpy).as_matrix(), xyz]
-    return T
+    upper = np.c_[Rotation.from_euler("xyz", rpy).as_matrix(), xyz]
+    return np.vstack([upper, [0.0, 0.0, 0.0, 1.0]])
 
 
 def _read_inertia(inertial: Element, T: Array) -> Array:

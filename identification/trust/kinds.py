@@ -200,7 +200,8 @@ def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
 
 def _of_parts(of: About) -> list[tuple[str, int]]:
     """Of each joint in each part of the time, of several recordings in the same part of each."""
-    borders = np.linspace(*(of.span_s if of.alone else (0.0, 100.0)), PARTS + 1)
+    first, last = of.span_s if of.alone else (0.0, 100.0)
+    borders = np.linspace(first, last, PARTS + 1)
     unit = "s" if of.alone else "% of each recording"
     times = [f"from {a:.3g} to {b:.3g} {unit}" for a, b in pairwise(borders)]
     return [(f"{where} {time}", j) for where, j in Kind.at(of) for time in times]
