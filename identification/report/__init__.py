@@ -48,19 +48,6 @@ from .fit_file import (
     read_fit,
     versions,
 )
-from .names import (
-    base_name,
-    gain_name,
-    is_base,
-    is_gain,
-    is_load,
-    is_own,
-    motor_of,
-    own_name,
-    payload_name,
-    payload_parameter,
-    recording_of,
-)
 from .parameters import (
     PER_INTERVAL,
     ConsistentFile,
@@ -73,5 +60,16 @@ from .parameters import (
     PayloadOfFit,
     PhysicalWarning,
     StandardParameter,
+    base_name,
+    gain_name,
+    is_base,
+    is_gain,
+    is_load,
+    is_own,
+    motor_of,
+    own_name,
+    payload_name,
+    payload_parameter,
+    recording_of,
 )
 from .renderers import print_whole, to_html, to_markdown

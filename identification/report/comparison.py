@@ -7,11 +7,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from ..errors import BadInputError
+from acquisition.errors import BadInputError, Location
+
 from .document import Document, Number, Row, Section, Table, columns, value_form
 from .fit_file import FitFile
-from .names import recording_of
-from .parameters import Parameter
+from .parameters import Parameter, recording_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,21 +52,16 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     parameter has different units.
     """
     partners = _partners(a, b)
-    if not partners:
-        raise BadInputError(
-            "no parameter in common",
-            place=f"{a.label} and {b.label}",
-            expected="two fits of one robot, or of like robots",
-        )
+    Location(f"{a.label} and {b.label}").require(
+        partners,
+        text="no parameter in common",
+        expected="two fits of one robot, or of like robots",
+    )
     for name, partner in partners.items():
         x, y = a.parameters[name], b.parameters[partner]
-        if x.unit != y.unit:
-            raise BadInputError(
-                place=b.label,
-                key=f"{name}.unit",
-                value=y.unit,
-                expected=f"{x.unit}, as in {a.label}",
-            )
+        Location(b.label).require(
+            x.unit == y.unit, f"{name}.unit", y.unit, f"{x.unit}, as in {a.label}"
+        )
     rest = {name: y for name, y in b.parameters.items() if name not in partners.values()}
     return [
         *(

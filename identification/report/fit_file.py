@@ -11,9 +11,9 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from acquisition.errors import BadInputError, Location
 from acquisition.files import NAMES, kind_of, read_bytes
 
-from ..errors import BadInputError
 from .document import FORMAT, ResultFile
 from .parameters import (
     AboveZero,
@@ -326,9 +326,9 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         """Warnings with the file `place`: a status without a fixed point,
         physically impossible values.
         """
-        texts = [doubt.text for doubt in self.doubts if doubt.severe]
-        if self.status in (*NO_FIXED_POINT, "not_confirmed"):
-            texts = [f"its status is {self.status}", *texts]
+        unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
+        texts = [f"its status is {self.status}"] * unsettled
+        texts += [doubt.text for doubt in self.doubts if doubt.severe]
         return [f"{place}: {text}" for text in texts]
 
 
@@ -357,7 +357,7 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
     Raises `BadInputError` where it cannot be read, or is not a fit of this
     format; `place` is the file.
     """
-    content = read_bytes(Path(path))
+    content, place = read_bytes(Path(path)), Location(str(path))
     try:
         stored = msgspec.json.decode(content, type=FitFile)
     except msgspec.MsgspecError as error:
@@ -373,17 +373,12 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
             place=str(path),
             expected=f"a fit as `robot-identify fit {log} --json FIT.json` writes it",
         ) from error
-    if stored.format != FORMAT:
-        raise BadInputError(
-            place=str(path),
-            key="format",
-            value=stored.format,
-            expected=f"{FORMAT}, read by this version",
-        )
-    if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
-        raise BadInputError(
-            place=str(path),
-            key="parameters",
-            expected="finite values, sigmas of at least 0, low not above high",
-        )
+    place.require(
+        stored.format == FORMAT, "format", stored.format, f"{FORMAT}, read by this version"
+    )
+    place.require(
+        all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters),
+        "parameters",
+        expected="finite values, sigmas of at least 0, low not above high",
+    )
     return stored
