@@ -5,23 +5,17 @@ It owns `Evidence`, the solution of `methods` with its tests, and all that is sa
 consistent parameters. It may use `methods` and the rooms below; `study` and all above use it.
 """
 
-from .consistent import (
-    Known,
-    consistent_set,
-    read_prior,
-    refuse_unknown_gain,
-    urdf_prior,
-    with_consistent,
-)
 from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_ahead, validated
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
-from .make_fit import identify, identify_iv, identify_ls
+from .make_fit import Known, consistent_set, identify, identify_iv, identify_ls, with_consistent
 from .parameters import (
     consistent_fit,
     fitted_parameters,
     predict_recordings,
     prior_file,
+    read_prior,
+    refuse_unknown_gain,
     signals_as_fitted,
     stored_beta,
     stored_robot,
@@ -29,6 +23,7 @@ from .parameters import (
     stored_torque,
     terms_without_fit,
     true_parameters,
+    urdf_prior,
     validate_all,
     with_stored_gains,
 )

@@ -5,6 +5,7 @@ estimate, its settings and its tests. A fit that was read from a file has the fo
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import Literal, TypeVar, get_args
 
 import msgspec
@@ -245,10 +246,12 @@ class Evidence:
         """What is no fault: torque demands sampled at one phase of the control, an error of
         inertias that is no lag.
         """
-        each = [one.signals for one in self.recordings]
-        robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
-        texts = [text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)]
-        return tuple(dict.fromkeys(texts))
+        texts = (
+            ripple_notes(s.robot.bus, s.robot.controller.bandwidth_hz)
+            for s in (one.signals for one in self.recordings)
+            if s.of_drives and s.motion_hz is None
+        )
+        return tuple(dict.fromkeys(chain.from_iterable(texts)))
 
     @property
     def reference(self) -> Literal["recorded", "surrogate"]:

@@ -138,9 +138,11 @@ def _essential_line(fit: FitFile) -> str:
     if not fit.essential:  # a file of an earlier version
         return f"{fit.size} parameters"
     count, unclear = len(fit.essential.names), len(fit.unclear)
-    line = f"{count} of {fit.size} parameters determined"
-    line += " (by least squares)" if fit.iterations else ""
-    line += f", {unclear} unclear: an interval wider than the value" if unclear else ""
+    line = (
+        f"{count} of {fit.size} parameters determined"
+        + (" (by least squares)" if fit.iterations else "")
+        + (f", {unclear} unclear: an interval wider than the value" if unclear else "")
+    )
     if fit.essential.F is None or not math.isfinite(fit.essential.F):
         return line
     return (

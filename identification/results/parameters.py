@@ -12,11 +12,12 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import ArrayLike
 
-from acquisition.robot import LowSpeed, Robot, robot_from_files
+from acquisition.errors import COMMAND_LINE, Location
+from acquisition.files import read_bytes
+from acquisition.robot import LowSpeed, Robot, load_robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
-from ..errors import BadInputError
 from ..estimation import one_thread
 from ..methods import essential_names
 from ..model import (
@@ -29,7 +30,6 @@ from ..model import (
 )
 from ..regression import Overrides, Problem, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
-from .consistent import read_prior, refuse_unknown_gain
 from .evidence import Evidence, FitOnRecording, errors_ahead, errors_on, validated
 
 
@@ -65,6 +65,23 @@ def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
     )
 
 
+def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
+    """The robot with a URDF (its text) as the only source of link parameters;
+    joints are matched by name.
+    """
+    joints = tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints)
+    return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
+
+
+def read_prior(path: Path, robot: Robot) -> Robot:
+    """The fitted `robot` as another robot.toml or URDF, `path`, describes it, by its name; refuses
+    one that cannot be read.
+    """
+    if path.suffix.lower() == ".toml":
+        return replace(load_robot(path), name=path.name)
+    return urdf_prior(robot, read_bytes(path).decode("utf-8", errors="replace"), path.name)
+
+
 def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
     """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters
     of a stored fit, `place`.
@@ -75,10 +92,7 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
     refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
     values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
-    if not values:
-        raise BadInputError(
-            place=str(prior), key="inertials", value=None, expected="those of the links"
-        )
+    Location(str(prior)).require(values, "inertials", None, "those of the links")
     known = true_parameters(
         base, np.array([values.get(name, 0.0) for name in base.names])
     ).parameters
@@ -147,12 +161,23 @@ def stored_settings(
     ), notes
 
 
+def refuse_unknown_gain(robot: Robot) -> None:
+    """Refuse a fit in A or V: joints have unknown gains of their own, and a link's
+    parameters would mix them.
+    """
+    for k, motor in enumerate(robot.motors):
+        Location(f"robot {robot.name}").require(
+            motor.gain is not None or robot.gain_known,
+            f"motor[{k}].drive_gain",
+            None,
+            "a drive gain for every motor",
+            text=f"the fit is in {motor.recorded_unit}; link parameters need N m",
+        )
+
+
 def stored_robot(stored: FitFile, place: str) -> Robot:
     """The robot by the description in a fit's file, `place`; a file without one is refused."""
-    if not stored.description:
-        raise BadInputError(
-            place=place, key="description", value=None, expected="a fit with its robot.toml"
-        )
+    Location(place).require(stored.description, "description", None, "a fit with its robot.toml")
     files = {name: text.encode() for name, text in stored.description.items()}
     return with_stored_gains(stored, robot_from_files(files, place))
 
@@ -175,10 +200,12 @@ def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
     arrays = [np.asarray(x, dtype=np.float64) for x in motion]
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
     shapes = [x.shape for x in arrays]
-    if any(shape != (len(arrays[0]), model.robot.n) for shape in shapes):
-        raise BadInputError(
-            key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq"
-        )
+    COMMAND_LINE.require(
+        all(shape == (len(arrays[0]), model.robot.n) for shape in shapes),
+        "shapes",
+        shapes,
+        f"(rows, {model.robot.n}) of q, dq and ddq",
+    )
     chi = base.standard_parameters(stored_beta(stored, base, place))
     return direct_model(model, chi).torque(*arrays)
 
@@ -209,9 +236,7 @@ def terms_without_fit(stored: FitFile, base: BaseParameters, place: str) -> list
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
     """The same with the values of its consistent set; a file, `place`, without one is refused."""
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
-        raise BadInputError(
-            place=place, key="standard_parameters", value=None, expected="`fit --consistent`"
-        )
+        Location(place).refuse("standard_parameters", None, "`fit --consistent`")
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
     known = true_parameters(base, base.K @ [given.get(name, 0.0) for name in model.names])
     return msgspec.structs.replace(stored, parameters=list(known.parameters.values()))
@@ -225,22 +250,20 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     for p in stored.parameters:
         values.setdefault(base_name(p.name), []).append(p.value)
     foreign = [name for name in values if name not in base.names]
-    if foreign or not values:
-        raise BadInputError(
-            place=place,
-            key="parameters",
-            value=", ".join(foreign[:5]) or None,
-            expected=f"those of the recording's robot: {', '.join(base.names[:5])}, ...",
-        )
+    Location(place).require(
+        values and not foreign,
+        "parameters",
+        ", ".join(foreign[:5]) or None,
+        f"those of the recording's robot: {', '.join(base.names[:5])}, ...",
+    )
     units = {base_name(p.name): p.unit for p in stored.parameters}
     for name, unit in zip(base.names, base.units, strict=True):
-        if units.get(name, unit) != unit:
-            raise BadInputError(
-                place=place,
-                key=f"{name}.unit",
-                value=units[name],
-                expected=f"{unit}, as the recording's robot has it",
-            )
+        Location(place).require(
+            units.get(name, unit) == unit,
+            f"{name}.unit",
+            units.get(name, unit),
+            f"{unit}, as the recording's robot has it",
+        )
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
