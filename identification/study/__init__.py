@@ -2,23 +2,25 @@
 demo; fits of whole fleets.
 
 It owns everything that makes or repeats many fits, and the tables of these; it alone imports
-pyarrow. It may use fits, their regression, the simulation and the model. Only `demo` uses the bus
-and sessions of `acquisition`, to record simulated drives.
+pyarrow. It may use fits, their regression, the simulation and the model. Only
+`simulated_cell` uses the bus and sessions of `acquisition`, to record simulated drives.
 """
 
-from .demo import (
+from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
+from .sensitivity import Variant, VariedFit, changes_of, fit_variant, sensitivity_document, vary
+from .simulated_cell import (
     CATALOGUE,
     PAYLOAD,
     TRUE_FACTORS,
+    Noise,
+    closed_loop,
     description,
-    gains_document,
+    random_reference,
     record_gain_pair,
     record_simulated_session,
-    truth_document,
+    study_truth,
+    write_signals,
 )
-from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
-from .sensitivity import Variant, VariedFit, changes_of, fit_variant, sensitivity_document, vary
-from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 from .study import (
     FALSE_TRUST,
     Run,
@@ -28,10 +30,12 @@ from .study import (
     base_file,
     border_line,
     false_trust,
+    gains_document,
     one_run,
     run_study,
     simulate_recording,
     study_document,
     study_file,
     summaries,
+    truth_document,
 )

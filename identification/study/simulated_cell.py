@@ -2,19 +2,40 @@
 
 It tracks a random exciting reference with the described controller, or else with a PD
 of the stated bandwidth. All is computed span by span, as hours of motion do not fit in memory.
+
+Or simulated CiA 402 drives on an in-process CAN bus move it in simulated time, as in the demo. This
+is the only place where `identification` gives an object to `acquisition`: the plant that the drives
+move.
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from acquisition.bus import Master
 from acquisition.errors import Location
 from acquisition.files import BLOCK_ROWS, allocate, atomic_write, by_rows
 from acquisition.recording import OPTIONAL, Header, RecordingWriter
-from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
+from acquisition.robot import (
+    FourierReference,
+    Payload,
+    Robot,
+    fourier_reference,
+    resolve,
+    robot_from_files,
+)
+from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
+from acquisition.simulated import (
+    SUBSTEPS,
+    DrivenPlant,
+    LockStepLink,
+    SimulatedDrives,
+    describe_loops,
+)
 
 from .. import model as dynamics
 from ..arrays import Array
@@ -23,18 +44,24 @@ from ..data import Signals
 from ..errors import NoFitError
 from ..options import CellOptions
 from ..regression import differentiate
-from ..simulation import ClosedLoop
+from ..simulation import ClosedLoop, RigidBodyPlant, drive_loops
 
 PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
 # of a simulated recording; a day at 1 kHz has fewer, and takes an hour: more are a mistake
 MIN_SAMPLES, MAX_SAMPLES = 100, 10**8
 # of the plant per controller period; with more, motion and torque change by less than 0.1 %
-SUBSTEPS = 2
+STEPS = 2
 AR = 0.98  # autocorrelation of coloured noise at lag 1
 # Separate random streams: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED = range(3)
 # A recursion over rows: `scipy.signal`, which has it, takes longer to import than all the rest.
 _SLOW = np.frompyfunc(lambda before, white: AR * before + white, 2, 1)
+
+DURATION_S, SEED = 12.0, 1  # of the session; of reference and noise
+CATALOGUE = (0.32, 0.32, 0.40, 0.33, 0.30, 0.32)  # gains by motor, N m/A
+TRUE_FACTORS = (1.25, 0.88, 1.40, 0.70, 1.15, 0.80)  # of the simulated drives
+RATED_NM_PER_A = 0.3  # of all motors, to make rated currents
+PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
 
 
 class Noise(CellOptions):
@@ -172,7 +199,7 @@ def closed_loop(
         axis=0,
     )
     start, rng = differentiate(q_ref[:2], sample_rate_hz), np.random.default_rng([seed, _POSITION])
-    follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=SUBSTEPS)
+    follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=STEPS)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     seen, held = (allocate(q_ref.shape, many=8) for _ in range(2))
     for rows, dq, ddq in _spans(q_ref, sample_rate_hz):
@@ -180,7 +207,7 @@ def closed_loop(
         done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, seen=encoder), bound)
         if reason:
             raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
-        seen[rows], held[rows] = encoder(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
+        seen[rows], held[rows] = encoder(done[0, ::STEPS]), done[3, ::STEPS]
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
         q=seen,
@@ -233,3 +260,100 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
             np.round(signals.t_s * 1e9),
             {name: values for name, values in given.items() if values is not None},
         )
+
+
+def record_simulated_session(
+    robot: Robot,
+    place: str,
+    out: Path,
+    *,
+    noise_percent: float = 3.0,
+    payload: Payload | None = None,
+    described: Robot | None = None,
+) -> None:
+    """Record a session: simulated drives track a random exciting reference with the
+    robot of `[parameters]`.
+
+    `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of
+    `robot`; the recording has `described`, by default the same. Raises `BadInputError`: a
+    description without `[bus]` or values, a failed session.
+    """
+    period_s = (
+        Location(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
+    )
+    model, described = true_model(robot), described or robot
+    t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
+    q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
+    rms = np.sqrt(np.mean(model.torque(q_ref, dq_ref, ddq_ref) ** 2, axis=0))
+    mechanism = DrivenPlant(
+        plant=RigidBodyPlant(
+            true_model(robot, payload),
+            q_ref[0],
+            speed_scale=np.abs(dq_ref).max(axis=0),
+            step_s=period_s / SUBSTEPS,
+            disturbance=0.01 * noise_percent * rms,
+            seed=SEED if payload is None else SEED + 1,
+        ),
+        loops=drive_loops(robot, dynamics.inertias(model.inertia(q_ref[::50]))),
+    )
+    bus = resolve(robot, place)
+    log = InlineLog(
+        Recorder(
+            out,
+            describe_loops(described, mechanism.loops),
+            source="simulated drives with the rigid robot of [parameters]",
+            place=place,
+            payload=payload,
+        )
+    )
+    simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
+    try:
+        outcome = run_active(
+            described, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop()
+        )
+        log.finish(simulated.now_ns())
+    finally:
+        log.close()
+    Location(str(out)).require(
+        not outcome.fault, text=f"the simulated session failed: {outcome.reason}"
+    )
+
+
+def description(name: str) -> Path:
+    """The description of a robot of this project: `scara` or `tx40`."""
+    installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
+    return (
+        installed
+        if installed.exists()
+        else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"
+    )
+
+
+def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list[float]:
+    """Record sessions without and with the payload, of drives whose gains are not those described;
+    returns the true ones.
+    """
+    described = CATALOGUE[: robot.n]
+    true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]
+    drives, stated = in_amperes(robot, true), in_amperes(robot, described)
+    for path, payload in zip(paths, (None, PAYLOAD), strict=True):
+        with atomic_write(path) as recording:
+            record_simulated_session(drives, place, recording, payload=payload, described=stated)
+    return true
+
+
+def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
+    """A robot of this project whose drives report their current, with these gains in N m/A."""
+    each = iter(gains)
+    text = re.sub(
+        "effort_unit = .*",
+        lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"',
+        robot.files["robot.toml"].decode(),
+    )
+    text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
+    text = re.sub(
+        r"rated_torque_nm = ([\d.]+)",
+        lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}",
+        text,
+    )
+    return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")

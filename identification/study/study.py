@@ -1,5 +1,6 @@
 """Monte-Carlo study: simulated recordings of a robot with known parameters, each fitted by
-both methods as users fit; its summaries, report and file, and those of base parameters.
+both methods as users fit; its summaries, report and file, and those of base parameters. Fits of
+simulated recordings beside the true values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +27,7 @@ from ..model import (
 )
 from ..options import StudyOptions
 from ..regression import Overrides
-from ..report import PER_INTERVAL, Document, Number, Section, Table, columns
+from ..report import PER_INTERVAL, Document, Number, Row, Section, Table, columns, value_form
 from ..results import Evidence, identify_iv, identify_ls
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 
@@ -64,10 +65,7 @@ def _simulated(robot: Robot, study: Study, seed: int, payload: Payload | None = 
     return closed_loop(
         robot,
         random_reference(
-            robot,
-            duration_s=study.duration_s,
-            sample_rate_hz=study.sample_rate_hz,
-            seed=seed,
+            robot, duration_s=study.duration_s, sample_rate_hz=study.sample_rate_hz, seed=seed
         ),
         study.sample_rate_hz,
         noise=study.noise,
@@ -323,4 +321,80 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
             ),
             Section(title="joints, by the number at the end of a name", table=joints),
         ),
+    )
+
+
+def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Document:
+    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values
+    of a simulated recording.
+    """
+    halves = [fit.intervals.half for fit in fits]
+    rows: list[Row] = [
+        (
+            name,
+            Number(float(x), form),
+            *(
+                cell
+                for value, half in of_fits
+                for cell in (
+                    Number(float(value), form),
+                    Number(float(half), form),
+                    Number(float((value - x) / half) if half > 0 else None, "+.2f"),
+                )
+            ),
+        )
+        for i, (name, x) in enumerate(zip(fits[0].base.names, true, strict=True))
+        for of_fits in [[(fit.beta[i], half[i]) for fit, half in zip(fits, halves, strict=True)]]
+        for form in [value_form(float(min(half for _, half in of_fits)) / 2)]
+    ]
+    headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
+    section = Section(
+        title="compared with the simulated values",
+        table=Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows)),
+        lines=tuple(
+            f"{fit.method}: {(np.abs(fit.beta - true) <= half).sum()} of {len(true)} true values "
+            f"inside ({0.95 * len(true):.0f} expected); total error "
+            f"{100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true):.2f} %"
+            for fit, half in zip(fits, halves, strict=True)
+        ),
+    )
+    largest = np.lexsort(
+        (-np.abs(true), ~np.isin(fits[-1].base.names, fits[-1].essential_names))
+    ).tolist()
+    return Document(
+        title=f"{robot}: {len(true)} estimated parameters and their true values",
+        sections=(section.with_short_table(largest),),
+    )
+
+
+def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
+    """Identified drive gains beside those described and the true ones, each with
+    its error in half-widths.
+    """
+    off = [x.value - y for x, y in zip(fit.gains, true, strict=True)]
+    within = sum(abs(x) <= one.half_width for x, one in zip(off, fit.gains, strict=True))
+    rows: list[Row] = [
+        (
+            one.motor,
+            *(Number(x, form) for x in (one.described, of_drive, one.value, one.half_width)),
+            Number(error / one.half_width, "+.2f"),
+            one.unit,
+        )
+        for one, of_drive, error in zip(fit.gains, true, off, strict=True)
+        for form in [value_form(one.half_width / 2)]
+    ]
+    lines = (
+        f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
+        f"loaded: {fit.recordings[-1].signals.payload}",
+    )
+    table = Table(
+        columns=columns(
+            "motor", numbers=("catalogue", "true", "identified", "±95%", "error /\n±95%")
+        )
+        + columns("unit"),
+        rows=tuple(rows),
+    )
+    return Document(
+        title=f"drive gains of {', '.join(one.signals.recording for one in fit.recordings)}",
+        sections=(Section(table=table, lines=lines),),
     )

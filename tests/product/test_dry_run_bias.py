@@ -30,7 +30,7 @@ from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
 from identification.results import fit_document, fit_file, identify_ls
 from identification.simulation import described_robot, drive_loops
-from identification.study import demo, record_simulated_session, study_truth
+from identification.study import record_simulated_session, simulated_cell, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ
@@ -254,7 +254,7 @@ def test_given_control_law_moves_robot_as_drives(tmp_path, monkeypatch):
 
     Without it a stand-in PD was 90 mrad off at joint 6.
     """
-    monkeypatch.setattr(demo, "DURATION_S", 2.0)
+    monkeypatch.setattr(simulated_cell, "DURATION_S", 2.0)
     robot, out = robot_named("tx40"), tmp_path / "a.mcap"
     record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     recording = read_recording(out)

@@ -17,7 +17,7 @@ from fits_of_records import iv_of, signals_of
 from identification.commands import main
 from identification.data import load_signals
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.study import CATALOGUE, PAYLOAD, TRUE_FACTORS, demo
+from identification.study import CATALOGUE, PAYLOAD, TRUE_FACTORS, simulated_cell
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
@@ -89,7 +89,7 @@ def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
 
     Sessions of a third.
     """
-    monkeypatch.setattr(demo, "DURATION_S", 4.0)
+    monkeypatch.setattr(simulated_cell, "DURATION_S", 4.0)
     assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 40
