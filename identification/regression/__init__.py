@@ -14,11 +14,12 @@ from .blocks import (
     weights_at,
 )
 from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
-from .lag import LAG_ORDERS, combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
+    NOTHING,
     SPLINE_REACH,
     FilteredMotion,
+    Lag,
     Motion,
     differentiate,
     largest_of_type,
@@ -49,6 +50,13 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
-from .span import NOTHING, Lag
-from .terms import friction_states, recorded_power, rigid_torque_at_rows, row_states
+from .terms import (
+    LAG_ORDERS,
+    combined_lag,
+    friction_states,
+    lags_in,
+    recorded_power,
+    rigid_torque_at_rows,
+    row_states,
+)
 from .unknowns import Arm, Unknowns, base_places, make_unknowns

@@ -22,7 +22,7 @@ from ..model import (
     poses_of,
 )
 from .filtering import decimation_reach, nearby
-from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, sampled_at
+from .motion import BLOCK_SAMPLES, LAG_REACH, SPLINE_REACH, FilteredMotion, sampled_at
 from .settings import (
     Overrides,
     Settings,
@@ -30,7 +30,6 @@ from .settings import (
     rule_cutoff_hz,
     with_bandwidth,
 )
-from .span import LAG_REACH
 
 FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
 # numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
@@ -242,8 +241,9 @@ def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)
     series = int(problem.model.nonzero[:, problem.base.columns].sum())
-    size, found = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1), list[tuple[slice, slice]]()
-    for first, last in pairwise([*range(0, max(1, rows - margin), size), rows]):
-        low, high = max(0, first - margin), min(rows, last + margin)
-        found.append((slice(low, high), slice(first - low, last - low)))
-    return found
+    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
+    return [
+        (slice(low, min(rows, last + margin)), slice(first - low, last - low))
+        for first, last in pairwise([*range(0, max(1, rows - margin), size), rows])
+        for low in [max(0, first - margin)]
+    ]

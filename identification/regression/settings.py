@@ -12,7 +12,7 @@ reference, and which the description states:
 Where no bandwidth is stated, low-pass, rows and simulated loop end where the motion does, by its
 spectrum. Between borders the samples are those of the recording's tracking phase or, without one,
 from the first motion to the last. They are fewer where the torque is recorded late or early, so
-that a lag of any likely value has samples: what is known of it is in `span`.
+that a lag of any likely value has samples: what is known of it is in `motion`.
 
 Slow samples weigh nothing, by a threshold that least squares and instruments have each their own.
 What of this the description or an option states replaces the rule, with a warning where that
@@ -36,11 +36,11 @@ from ..arrays import Ints
 from ..data import Signals
 from ..options import Overrides, Span
 from .filtering import MAX_PASS, Decimation, decimation_passes
-from .motion import FilteredMotion
-from .span import (
+from .motion import (
     CUT_PERIODS,
     MIN_ROWS,
     SPANS,
+    FilteredMotion,
     Lag,
     SpanKind,
     border_samples,

@@ -8,7 +8,7 @@ from conftest import REPLAY
 
 from identification.data import load_signals
 from identification.regression import Overrides, make_problem
-from identification.regression.span import motion_band_hz
+from identification.regression.motion import motion_band_hz
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
