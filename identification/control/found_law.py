@@ -153,8 +153,7 @@ def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], l
     def solved(letters: str, estimate: str) -> list[Found]:
         late_s, k = SPEED_DELAYS[estimate] * period_s, list(SPEED_DELAYS).index(estimate)
         near = solved(letters, list(SPEED_DELAYS)[k - 1]) if k else [None] * len(motors)
-        pairs = zip(motors, near, strict=True)
-        return [one.solve(letters, late_s, found) for one, found in pairs]
+        return [one.solve(letters, late_s, found) for one, found in zip(motors, near, strict=True)]
 
     return solved
 

@@ -194,8 +194,9 @@ class Model:
             )
             for k, arm in enumerate(self.unknowns.arms)
         ]
-        found = self.run(partial(torque_of_recording, judged=judged), each)
-        tau, predicted, counts, _, t_s, at = zip(*found, strict=True)
+        tau, predicted, counts, _, t_s, at = zip(
+            *self.run(partial(torque_of_recording, judged=judged), each), strict=True
+        )
         return (
             np.concatenate(tau),
             np.concatenate(predicted, axis=1),
@@ -274,12 +275,13 @@ class Model:
 
     def with_ramps(self, ramp_rows: float) -> "Model":
         """The same recordings with other ramps of the weights of samples."""
-        problems = [
-            replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
-            for one in self.problems
-        ]
         return replace(
-            self, overrides=replace(self.overrides, ramp_rows=ramp_rows), problems=tuple(problems)
+            self,
+            overrides=replace(self.overrides, ramp_rows=ramp_rows),
+            problems=tuple(
+                replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
+                for one in self.problems
+            ),
         )
 
 

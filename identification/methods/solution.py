@@ -20,7 +20,7 @@ from ..estimation import (
     intervals_of,
     not_below_white,
 )
-from ..model import direct_model, why_not_positive
+from ..model import direct_model_of_base, why_not_positive
 from ..regression import (
     FilteredMotion,
     Lag,
@@ -226,36 +226,37 @@ def status_of(
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
     if unconfirmed is not None:
         return "diverged", unconfirmed
-    moving = []
-    if not last.parameters_settled:
-        moving += [f"{last.changed} still changes by {last.change_sigma:.2g} sigma"]
-    if (percent := last.residual_change_percent) is not None:
-        moving += [f"the residual norm still changes by {percent:.2g} %"]
-    return (
-        "max_iterations",
-        f"after {last.number} passes {' and '.join(moving) or 'only the start is known'}",
+    moving = (
+        ""
+        if last.parameters_settled
+        else f"{last.changed} still changes by {last.change_sigma:.2g} sigma",
+        ""
+        if last.residual_change_percent is None
+        else f"the residual norm still changes by {last.residual_change_percent:.2g} %",
     )
+    text = " and ".join(filter(None, moving)) or "only the start is known"
+    return "max_iterations", f"after {last.number} passes {text}"
 
 
 def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:
     """Why the simulation with the final estimate does not confirm it; None if it does."""
-    reasons, x = list[tuple[str, str | None]](), model.x_of(best.estimate, best.x)
-    for one in model.equations:
-        problem = one.problem
-        chi = problem.base.standard_parameters(one.arm.beta(x))
-        M = direct_model(problem.model, chi).inertia(problem.poses)
-        reasons.append((problem.signals.recording, why_not_positive(M)))
+    x = model.x_of(best.estimate, best.x)
+    reasons = [
+        (of.signals.recording, why_not_positive(robot.inertia(of.poses)))
+        for of, beta in [(one.problem, one.arm.beta(x)) for one in model.equations]
+        for robot in [direct_model_of_base(of.model, of.base, beta)]
+    ]
     if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"
     percents = [np.inf if one.percent is None else one.percent for one in confirmed]
     if not max(percents) <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
-    far = [
+    far = (
         f"simulated joint {d.name} differs by {percent:.1f} % from the measured one"
         for d in direct_errors(confirmed)
         if (percent := d.position_error_percent) is not None and not percent <= MAX_TRACKING_PERCENT
-    ]
-    return far[0] if far else None
+    )
+    return next(far, None)
 
 
 def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
@@ -374,6 +375,5 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
     """Least squares of the recording with the parameters `of` another, without load friction."""
     system = rows_of_recording(*equation_alone(problem)).system
-    asked = set(map(base_name, of.names))
-    known = np.isin(system.names, [*asked]) & system.W.any(axis=0)
+    known = np.isin(system.names, [*map(base_name, of.names)]) & system.W.any(axis=0)
     return solver_of(method)(system.with_columns(np.flatnonzero(known)))

@@ -281,8 +281,9 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
     asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
     if stated_hz is not None and not asked_hz < fs / 2:
-        below = f"below {fs / 2:g} Hz, half the rate"
-        Location(signals.recording).refuse("cut-off", asked_hz, below, shown=f"{asked_hz:g} Hz")
+        Location(signals.recording).refuse(
+            "cut-off", asked_hz, f"below {fs / 2:g} Hz, half the rate", shown=f"{asked_hz:g} Hz"
+        )
     cutoff_hz = asked_hz if 0 < asked_hz < fs / 2 else None
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:

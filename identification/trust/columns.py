@@ -130,8 +130,11 @@ def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
             if t.kind == kind and not t.found and t.noticed > MAX_UNNOTICED.get(t.unit, 0.0)
         }
         if unnoticed:
-            each = ", ".join(f"{size} at {joint}" for joint, size in unnoticed.items())
-            yield assume(f"{kind}s", joints=", ".join(unnoticed), each=each)
+            yield assume(
+                f"{kind}s",
+                joints=", ".join(unnoticed),
+                each=", ".join(f"{size} at {joint}" for joint, size in unnoticed.items()),
+            )
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:

@@ -306,8 +306,7 @@ def _common_factor(factors: Array) -> tuple[float, float, bool]:
     scatter, off = 1.4826 * np.median(np.abs(of - np.median(of))), np.median(of)
     limit = np.clip(MAX_SCATTERS * scatter, np.log(LEAST_FACTOR), np.log(SURE_FACTOR))
     of_median = scatter * np.sqrt(0.5 * np.pi / len(of))  # its deviation
-    is_common = bool(abs(off) > max(limit, MAX_SCATTERS * of_median))
-    return float(np.exp(off)), float(scatter), is_common
+    return float(np.exp(off)), float(scatter), bool(abs(off) > max(limit, MAX_SCATTERS * of_median))
 
 
 def centre_of_mass_test(evidence: TrustInputs) -> TrustResult | None:

@@ -49,8 +49,11 @@ def physical_test(evidence: TrustInputs) -> TrustResult | None:
     found += filter(None, [_finding_of_gravity(evidence)])
     if evidence.method == "ols" and all(line.level != LEVELS[0] for line in found):
         weighted = estimation.weighted_least_squares(system := evidence.observed.system)
-        within = estimation.intervals_of(system, weighted)
-        again = replace(evidence, estimate=weighted, intervals=within)
+        again = replace(
+            evidence,
+            estimate=weighted,
+            intervals=estimation.intervals_of(system, weighted),
+        )
         found += [
             structs.replace(line, text=PHYSICAL.part("weighted", text=line.text))
             for line in _findings(again, check)[0]
@@ -130,8 +133,11 @@ def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], f
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
     of_inertia, lowest = _finding_of_inertia(evidence, np.any(own, axis=0), check)
-    of_friction = _driving_findings(evidence, own, check)
-    found = of_inertia, *of_friction, *_findings_below_zero(evidence, own, check)
+    found = (
+        of_inertia,
+        *_driving_findings(evidence, own, check),
+        *_findings_below_zero(evidence, own, check),
+    )
     return [*filter(None, found)], lowest
 
 
@@ -171,14 +177,18 @@ def _finding(
     whether further friction `terms` may be the cause.
     """
     sign, certain = check(joint), far > MAX_HALF_WIDTHS
-    cases = {
-        "wrong sign": certain and sign,
-        "impossible": certain,
-        "noise": noise,
-        "perhaps wrong sign": sign,
-        "doubtful": True,
-    }
-    return PHYSICAL.judge(cases, what=what, joint=joint, or_terms=terms)
+    return PHYSICAL.judge(
+        {
+            "wrong sign": certain and sign,
+            "impossible": certain,
+            "noise": noise,
+            "perhaps wrong sign": sign,
+            "doubtful": True,
+        },
+        what=what,
+        joint=joint,
+        or_terms=terms,
+    )
 
 
 def _worst(
@@ -268,8 +278,9 @@ def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
     A *= evidence.estimate.weights[rows.system.joint_of_row][:, None]
     G, W, Y = np.split(estimation.r_factor(A), [len(weighs), -1], axis=1)
     left = [100 * estimation.relative_residual(of, Y[:, 0]) for of in (W, W - G @ same)]
-    lacks = {"no weight": left[1] < MIN_RESIDUAL_RATIO * left[0]}
-    return PHYSICAL.judge(lacks, without=left[1], residual=left[0])
+    return PHYSICAL.judge(
+        {"no weight": left[1] < MIN_RESIDUAL_RATIO * left[0]}, without=left[1], residual=left[0]
+    )
 
 
 def consistent_test(evidence: TrustInputs) -> TrustResult | None:

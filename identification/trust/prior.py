@@ -171,8 +171,12 @@ def _factors(evidence: TrustInputs) -> Array:
         one = replace(one, W=J, joint_of_row=0 * one.joint_of_row, names=names, rows=one.rows[[j]])
         with suppress(NoFitError):
             fit = instrumental_variables(one, evidence.Z[own] @ columns, np.ones(1))
-            half = intervals_of(one, fit).half[0]
-            found[:, j] = fit.beta[0], half, 1 - fit.residual_norm**2 / whole, needed / whole
+            found[:, j] = (
+                fit.beta[0],
+                intervals_of(one, fit).half[0],
+                1 - fit.residual_norm**2 / whole,
+                needed / whole,
+            )
     return found
 
 
@@ -231,16 +235,21 @@ def _mistakes(robot: Robot) -> Iterator[Mistake]:
     own, gravity = np.eye(robot.n), np.array(robot.gravity)
     for joints, of in (*zip(own, names, strict=True), (none.factors, "all joints")):
         for unit, factor in FACTORS.items():
-            factors = 1 + (factor - 1) * joints
-            yield replace(none, text=PRIOR.part(unit, one=of), factors=factors)
+            yield replace(none, text=PRIOR.part(unit, one=of), factors=1 + (factor - 1) * joints)
     for one, joint in zip(own, robot.joints, strict=True):
         for deg in (-90, 90, 180) if joint.type == "revolute" else ():
-            text = PRIOR.part("zero", one=joint.name, deg=deg)
-            yield replace(none, text=text, turns=-np.deg2rad(deg) * one)
+            yield replace(
+                none,
+                text=PRIOR.part("zero", one=joint.name, deg=deg),
+                turns=-np.deg2rad(deg) * one,
+            )
     for along in (*np.eye(3), *-np.eye(3)) if not gravity[:2].any() else ():
         axis = f"{'-' if along.sum() < 0 else '+'}{'xyz'[int(np.abs(along).argmax())]}"
-        turned = np.linalg.norm(gravity) * along - gravity
-        yield replace(none, text=PRIOR.part("gravity", axis=axis), gravity=turned)
+        yield replace(
+            none,
+            text=PRIOR.part("gravity", axis=axis),
+            gravity=np.linalg.norm(gravity) * along - gravity,
+        )
 
 
 def _torque_of_links(

@@ -55,11 +55,13 @@ def rows_test(e: TrustInputs) -> TrustResult | None:
     """The recording with most missing or repeated rows; else those with rows that nobody measured,
     or one whose encoders are slower than the log.
     """
-    each = (
-        position_steps(of.with_samples().signals.q[of.settings.start : of.settings.stop])
-        for of in e.problems
+    counted, coarse = zip(
+        *(
+            position_steps(of.with_samples().signals.q[of.settings.start : of.settings.stop])
+            for of in e.problems
+        ),
+        strict=True,
     )
-    counted, coarse = zip(*each, strict=True)
     places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
     shares = np.array([100 * of[:3] / max(of[3], 1) for of in counted])
     least = np.maximum(MAX_MISSING_PERCENT, MAX_HELD_RATIO * shares[:, 2:])
