@@ -209,6 +209,7 @@ class Chain:
         range outside the URDF's.
         """
         joints, n, place = list(self.joints), len(self.joints), Location(self.place)
+        alike = len({joint.type for joint in joints}) == 1
         for option, values in options.items():
             place.require(
                 len(values) in (1, n),
@@ -217,9 +218,8 @@ class Chain:
                 f"one, or {n} for {', '.join(joint.name for joint in joints)}",
                 shown=f"{len(values)} values",
             )
-            alike = len({joint.type for joint in joints}) == 1 or option not in _OPTION_FIELDS
             place.require(
-                alike or len(values) == n,
+                len(values) == n or alike or option not in _OPTION_FIELDS,
                 option,
                 values[0],
                 f"{n} values: some joints are in rad, others in m",
@@ -302,8 +302,9 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 
 def _find_longest(tree: UrdfTree) -> list[str]:
     free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
-    types = f"joints of the types {', '.join(MOVABLE)}"
-    tree.place.require(free, text="no joint moves", expected=types)
+    tree.place.require(
+        free, text="no joint moves", expected=f"joints of the types {', '.join(MOVABLE)}"
+    )
     chains = {
         name: [joint for joint in tree.path(name) if joint in free]
         for name in tree.movable
@@ -341,8 +342,9 @@ def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
         return 0.0 if text is None else finite_number(text, at, f"{tag} {attribute}")
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
-    fits = kind == "continuous" or low <= high
-    at.require(fits, "limit lower", low, f"less than upper = {high:g}")
+    at.require(
+        kind == "continuous" or low <= high, "limit lower", low, f"less than upper = {high:g}"
+    )
     numbers = {key: number(*where) for key, where in _NUMBERS.items()}
     for key, value in numbers.items():
         at.require(value >= 0, " ".join(_NUMBERS[key]), value, "a number from 0")

@@ -95,19 +95,19 @@ def describe_rows(chain: Chain, bus: str = "") -> str:
     """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in,
     where there is no URDF.
     """
+    rows = f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}"
     lines = [
         f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in "
         "degrees, all else in SI.",
         f"name = {json.dumps(chain.name)} # {FILL_IN}",
         "gravity_m_s2 = [0, 0, -9.81] # in the base frame",
+        *(line for j in range(len(chain.joints)) for line in (*_joint(chain, j), rows)),
+        "",
+        *_motors_and_controller(chain),
+        "",
+        bus or f"{_NO_BUS}\n",
     ]
-    for j in range(len(chain.joints)):
-        lines += [
-            *_joint(chain, j),
-            f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}",
-        ]
-    text = "\n".join([*lines, "", *_motors_and_controller(chain), "", bus or f"{_NO_BUS}\n"])
-    return text.replace("the URDF has no ", "the ").replace(": not in a URDF", "")
+    return "\n".join(lines).replace("the URDF has no ", "the ").replace(": not in a URDF", "")
 
 
 def _load_robot(text: str, chain: Chain) -> Robot:

@@ -353,8 +353,7 @@ def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
         )
         lines.append(f"control law of the recording: {law.structure}")
     if lines:
-        description = {**stored.description, "robot.toml": text}
-        stored = structs.replace(stored, description=description)
+        stored = structs.replace(stored, description={**stored.description, "robot.toml": text})
     return stored, lines
 
 

@@ -326,11 +326,10 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
     J = np.ones(robot.n) if J is None else J
     for j, joint in enumerate(robot.joints):
         if joint.rotor_inertia:
-            turning = [
-                m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1
-            ]
             chi[f"Ia{j + 1}"] = J[j] + sum(
-                J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning
+                J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2
+                for m in range(robot.n)
+                if m != j and R[m, m] and R[m, j] and R[j].sum() == 1
             )
         elif joint.type == "revolute":
             chi |= dict.fromkeys((f"XX{j + 1}", f"YY{j + 1}", f"ZZ{j + 1}"), J[j])

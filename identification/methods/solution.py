@@ -155,8 +155,9 @@ def intervals_with_given_uncertainty(
         moves = changes_of(rows.system, rows.L[:, : len(of.held)], estimate).T
         stated = np.array([one.stated[places] for one in of.held])
         moved += list(half * np.abs(stated - moves) / found.reach)
-    sigma = np.hypot.reduce([not_below_white(estimate, found), *moved])
-    return intervals_from(estimate, sigma, found.freedom)
+    return intervals_from(
+        estimate, np.hypot.reduce([not_below_white(estimate, found), *moved]), found.freedom
+    )
 
 
 def solution_by_instruments(

@@ -199,9 +199,12 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
     if frames[0] == frames[1]:
         return []
     kinds = ["a URDF" if isinstance(one, str) else "DH rows" for one in frames]
-    which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
-    if kinds[0] != kinds[1]:
-        which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
+    alike = {"a URDF": "two different URDFs", "DH rows": "two different DH rows"}
+    which = (
+        alike[kinds[0]]
+        if kinds[0] == kinds[1]
+        else f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
+    )
     return [
         f"the link frames differ: {which}; link parameters (XX to M) are comparable only where a "
         "link has the same frame in both"

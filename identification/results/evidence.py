@@ -176,8 +176,11 @@ class Evidence:
         """Of several recordings the last of these kinds that one of them has; None after least
         squares.
         """
-        kinds = (one.simulated.controller for one in self.recordings if one.simulated)
-        return max(kinds, key=get_args(ControllerKind).index, default=None)
+        return max(
+            (one.simulated.controller for one in self.recordings if one.simulated),
+            key=get_args(ControllerKind).index,
+            default=None,
+        )
 
     @property
     def saturated_percent(self) -> float | None:

@@ -317,11 +317,8 @@ def remarks(signals: Signals) -> list[str]:
     """The final counters of the recorder, and the payload, if any."""
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
-    found = [f"recorder: {', '.join(last)}"] if last else []
-    if signals.payload is None:
-        return found
+    payload, recording, joint = signals.payload, signals.recording, signals.robot.joints[-1].name
     return [
-        *found,
-        f"payload of {signals.recording}: "
-        + signals.payload.describe(signals.robot.joints[-1].name),
+        *([f"recorder: {', '.join(last)}"] if last else []),
+        *([] if payload is None else [f"payload of {recording}: {payload.describe(joint)}"]),
     ]

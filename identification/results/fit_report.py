@@ -95,13 +95,13 @@ def _verdict_section(fit: FitFile) -> Section:
     assumed = [one.what for one in fit.assumed or ()]
     first = [f"assumed: {', '.join(assumed)}"] if assumed else []
     status = [f"status: {fit.status}{reason}"]
+    error = _percent(known(fit.least_squares_error_percent))
+    by_ls = [f"least squares has a torque error of {error}: --method wls"]
     last = [
         shared.error_line(fit.errors, fit.error_cutoff_hz),
         *(f"note: {text}" for text in fit.notes),
+        *(by_ls if fit.status in NO_FIXED_POINT else []),
     ]
-    if fit.status in NO_FIXED_POINT:
-        error = _percent(known(fit.least_squares_error_percent))
-        last.append(f"least squares has a torque error of {error}: --method wls")
     left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
     more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
     return Section(
@@ -176,12 +176,12 @@ def _parameters(fit: FitFile) -> Section:
     essential.sort(key=lambda k: -fit.parameters[k].torque)
     places = sorted(essential[:MAX_SHORT_PARAMETERS])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
-    meaning = "±95%: half-width of the 95 % interval"
-    if error is not None:
-        meaning += (
-            f"; torque error held out: links of the {fit.prior_source} {_percent(error)}, "
-            f"fit {_percent(known(fit.held_out_error_percent))}"
-        )
+    meaning = "±95%: half-width of the 95 % interval" + (
+        ""
+        if error is None
+        else f"; torque error held out: links of the {fit.prior_source} {_percent(error)}, "
+        f"fit {_percent(known(fit.held_out_error_percent))}"
+    )
     return Section(
         title=PARAMETERS,
         table=Table(

@@ -26,7 +26,7 @@ from ..model import (
     add_payload,
     base_parameters,
     base_prior,
-    direct_model,
+    direct_model_of_base,
 )
 from ..regression import Overrides, Problem, make_problem, with_common_band
 from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
@@ -206,8 +206,7 @@ def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
         shapes,
         f"(rows, {model.robot.n}) of q, dq and ddq",
     )
-    chi = base.standard_parameters(stored_beta(stored, base, place))
-    return direct_model(model, chi).torque(*arrays)
+    return direct_model_of_base(model, base, stored_beta(stored, base, place)).torque(*arrays)
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:

@@ -263,17 +263,18 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
 
 def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
     """The settings in words; `used` is what is done with the span."""
-    fs, cutoff, (start, stop) = of.sample_rate_hz or 1.0, "no low-pass", of.samples or (0, 0)
-    if of.cutoff_hz is not None:
-        cutoff = (
-            f"low-pass {of.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at "
-            f"{of.cutoff_forward_backward_3db_hz:.1f} Hz)"
-        )
-    notes = " with MATLAB's edge rule" if of.edges == "matlab" else ""
-    if of.off_grid_periods > ON_GRID:
-        notes += (
-            f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
-        )
+    fs, (start, stop) = of.sample_rate_hz or 1.0, of.samples or (0, 0)
+    cutoff = (
+        "no low-pass"
+        if of.cutoff_hz is None
+        else f"low-pass {of.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at "
+        f"{of.cutoff_forward_backward_3db_hz:.1f} Hz)"
+    )
+    notes = (" with MATLAB's edge rule" if of.edges == "matlab" else "") + (
+        f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
+        if of.off_grid_periods > ON_GRID
+        else ""
+    )
     whole = f" of {of.recorded_samples / fs:.3f} s" if of.recorded_samples else ""
     return (
         f"{of.provenance.recording if of.provenance else ''}: {fs:g} Hz, {cutoff}, decimated by "

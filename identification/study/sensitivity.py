@@ -147,19 +147,17 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     # (parameters, fits, both methods twice)
     moves = np.nan_to_num([changes_of(fits, name) for name in names])
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
-    rows = list[Row]()
-    for k, fit in list(enumerate(fits))[1:]:
-        shown = [Number(x if fit.values else None, ".2g") for x in largest[k]]
-        cells = [x for m in (0, 1) for x in (shown[m], names[of[k, m]], shown[m + 2])]
-        rows.append(
-            (
-                fit.variant.changed,
-                fit.variant.to,
-                *cells,
-                Number(fit.passes or None, "d"),
-                fit.ended,
-            )
+    rows: list[Row] = [
+        (
+            fit.variant.changed,
+            fit.variant.to,
+            *(cell for m in (0, 1) for cell in (shown[m], names[of[k, m]], shown[m + 2])),
+            Number(fit.passes or None, "d"),
+            fit.ended,
         )
+        for k, fit in list(enumerate(fits))[1:]
+        for shown in [[Number(x if fit.values else None, ".2g") for x in largest[k]]]
+    ]
     values = Table(
         columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
         rows=tuple(

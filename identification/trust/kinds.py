@@ -174,9 +174,8 @@ def stride_of(motion: MotionBlock) -> int:
 
 def _directions(of: About) -> list[tuple[str, int]]:
     """Of Coulomb friction: of a joint, or of the motor of the last joint that it moves."""
-    names = [joint.name for joint in of.robot.joints]
     return [
-        (f"of{' the motor of' if len(at) > 1 else ''} joint {names[at[-1]]}", int(at[-1]))
+        (f"of{' the motor of' * (len(at) > 1)} joint {of.robot.joints[at[-1]].name}", int(at[-1]))
         for at in map(np.flatnonzero, of.problem.model.coulomb_directions)
     ]
 

@@ -260,8 +260,9 @@ def _torque_of_links(
     beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model_of_base(problem.model, problem.base, beta)
-    each = np.array([(one.positions, one.factors, one.turns) for one in mistakes])
-    motions, of_mistake = np.unique(each, axis=0, return_inverse=True)
+    motions, of_mistake = np.unique(
+        [(one.positions, one.factors, one.turns) for one in mistakes], axis=0, return_inverse=True
+    )
     q, dq, ddq = (x[:, motions[:, 0].astype(int)] * motions[:, 1] for x in motion)
     states = (x.reshape(-1, q.shape[-1]) for x in (q + motions[:, 2], dq, ddq))
     rigid = links.torques_of_links(*states).reshape(q.shape)[:, of_mistake.ravel()]

@@ -124,10 +124,9 @@ def trust_in(evidence: TrustInputs) -> Trust:
         )
         lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
-    assumed = *list_assumptions(evidence, lines), *of_lines
     return Trust(
         lines=worst_first(structs.replace(line, assumed=()) for line in lines.values()),
-        assumed=assumed,
+        assumed=(*list_assumptions(evidence, lines), *of_lines),
     )
 
 
