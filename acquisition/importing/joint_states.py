@@ -219,9 +219,9 @@ def _alternating(x: Array, least: Array) -> Array:
     )
     energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
     half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-    return np.count_nonzero(
+    alternating = (
         (np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * least)
         & ((steps == 0).mean(axis=1) < 0.4)
-        & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half),
-        axis=0,
+        & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
     )
+    return np.asarray(alternating.sum(axis=0))

@@ -153,13 +153,12 @@ class ProcessData:
         ):
             for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
                 at = objects[station][0].get(entry.key, (0, 0))
+                names = [f"{index:04X}:{sub}" for index, sub in objects[station][0]]
                 self._place.require(
                     8 * at[1] == entry.bits,
                     text=f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
                     "among its inputs",
-                    expected="one of "
-                    + listed([f"{index:04X}:{sub}" for index, sub in objects[station][0]])
-                    + " in robot.toml",
+                    expected=f"one of {listed(names)} in robot.toml",
                 )
                 self._add_field(inputs, (name, i), entry, at, (LRD, LRW))
             at = objects[station][1].get(drive.target.key, (0, 0))

@@ -287,8 +287,8 @@ def rate_warnings(report: TimeReport) -> list[str]:
                 report.off > MAX_LEFT_OUT * report.rows
             ),
             f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
-            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit decimates "
-            "by itself": ratio < MIN_RATE_RATIO,
+            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit "
+            "decimates by itself": ratio < MIN_RATE_RATIO,
             f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
             "samples between rows are interpolated and add no information": ratio > MAX_RATE_RATIO,
         }
