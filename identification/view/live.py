@@ -282,14 +282,12 @@ class LivePage:
                     if name in ("effort", "residual")
                     else joint.position_unit
                 )
-                self._style(
-                    f"{name}/{j + 1}/measured",
-                    *(
-                        (["target", name], [REFERENCE, LIGHT])
-                        if name == "position" and self._target is not None
-                        else ([name], [RESIDUAL if name == "residual" else LIGHT])
-                    ),
+                names, colors = (
+                    (["target", name], [REFERENCE, LIGHT])
+                    if name == "position" and self._target is not None
+                    else ([name], [RESIDUAL if name == "residual" else LIGHT])
                 )
+                self._style(f"{name}/{j + 1}/measured", names, colors)
                 self._style(
                     f"{name}/{j + 1}/levels",
                     list(levels[j]),
