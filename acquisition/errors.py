@@ -1,7 +1,7 @@
 """Errors: their data, and the one-line message."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Final, NoReturn, TypeVar
@@ -30,6 +30,11 @@ def listed(names: Sequence[str]) -> str:
     """The expected names for an error; of many, the first 30."""
     shown = ", ".join(names[:30])
     return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"
+
+
+def holding(texts: Mapping[str, object]) -> list[str]:
+    """The texts whose condition holds."""
+    return [text for text, holds in texts.items() if holds]
 
 
 class HeldBack(AbstractContextManager["HeldBack"]):

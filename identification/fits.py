@@ -9,12 +9,12 @@ from typing import Any
 from msgspec import UnsetType
 from numpy.typing import ArrayLike
 
+from acquisition.errors import Location
 from acquisition.files import write_text
 
 from . import export, report, results
 from .arrays import Array
 from .data import Signals, load_signals
-from .errors import BadInputError
 from .model import BaseParameters, InverseModel, base_parameters
 from .options import Overrides
 
@@ -27,10 +27,9 @@ class Parameters(tuple[report.Parameter, ...]):
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Columns by name, as pandas takes them; `half_width` of the 95 % interval."""
-        names = ("name", "value", "half_width", "low", "high", "unit", "expression", "essential")
         return {
-            name: [getattr(p, "half" if name == "half_width" else name) for p in self]
-            for name in names
+            "half_width" if name == "half" else name: [getattr(p, name) for p in self]
+            for name in ("name", "value", "half", "low", "high", "unit", "expression", "essential")
         }
 
 
@@ -104,18 +103,22 @@ class Fit:
     @property
     def base(self) -> BaseParameters:
         """All base parameters of the robot."""
-        if self.evidence is not None:
-            return self.evidence.base
-        return base_parameters(InverseModel(results.stored_robot(self.file, self.place)))
+        return (
+            base_parameters(InverseModel(results.stored_robot(self.file, self.place)))
+            if self.evidence is None
+            else self.evidence.base
+        )
 
     @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, in the order of `base.names`, zero if left out; of
         parameters of single recordings those of the first, or their means in a fit that was read.
         """
-        if self.evidence is not None:
-            return self.evidence.beta
-        return results.stored_beta(self.file, self.base, self.place)
+        return (
+            results.stored_beta(self.file, self.base, self.place)
+            if self.evidence is None
+            else self.evidence.beta
+        )
 
     @property
     def t_s(self) -> Array:
@@ -173,8 +176,11 @@ class Fit:
         Returns what each format cannot represent, as Markdown. Raises `BadInputError`: the verdict
         is `do not use` and not `allow_untrusted`; a fit in A or V; impossible parameters.
         """
-        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
-        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
+        paths = {
+            kind: Path(path)
+            for kind, path in (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
+            if path is not None
+        }
         return report.to_markdown(
             export.export_fit(self.file, self.place, untrusted=allow_untrusted, **paths)
         )
@@ -194,10 +200,9 @@ class Fit:
     @property
     def document(self) -> report.Document:
         """The report. Raises `BadInputError` for known values, which have none."""
-        if self.file.provenance is None:
-            raise BadInputError(
-                "has parameters only", place=self.place, expected="a fit of a recording"
-            )
+        Location(self.place).require(
+            self.file.provenance, text="has parameters only", expected="a fit of a recording"
+        )
         return results.fit_document(self.file)
 
     def to_json(self, path: File) -> None:
@@ -217,9 +222,7 @@ class Fit:
             recordings = self._recordings(log) if log is not None or self.evidence else (None,)
             write_html(path, join_pictures([draw_fit(self.file, one) for one in recordings]))
         else:
-            raise BadInputError(
-                place=str(path), key="ending", value=path.suffix, expected=".md or .html"
-            )
+            Location(str(path)).refuse("ending", path.suffix, ".md or .html")
 
     def write_rrd(self, path: File, log: File | None = None) -> None:
         """Write trajectories and fit as a Rerun file; of several recordings one file
@@ -236,18 +239,18 @@ class Fit:
 
     def _recordings(self, log: File | None = None) -> Sequence[results.FitOnRecording]:
         """The recordings of the fit, or the fit on a `log`."""
-        if log is None:
-            return self._made().recordings
-        return results.predict_recordings(
-            self.file, self.place, [(load_signals(log), Path(log))], Overrides()
-        )[0]
+        return (
+            self._made().recordings
+            if log is None
+            else results.predict_recordings(
+                self.file, self.place, [(load_signals(log), Path(log))], Overrides()
+            )[0]
+        )
 
     def _made(self) -> results.Evidence:
-        if self.evidence is None:
-            raise BadInputError(
-                "was read from a file", place=self.place, expected="a fit in memory, or its log"
-            )
-        return self.evidence
+        return Location(self.place).given(
+            self.evidence, text="was read from a file", expected="a fit in memory, or its log"
+        )
 
     def _repr_html_(self) -> str:
         from .view import deviation_charts, draw_fit, notebook_figure

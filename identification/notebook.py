@@ -12,6 +12,7 @@ from typing import Any, Literal, ParamSpec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acquisition.errors import COMMAND_LINE
 from acquisition.files import refuse_clash, write_text
 from acquisition.robot import Robot, parse_payload
 
@@ -80,15 +81,14 @@ def read_robot(
     limits in rad or m, for all joints or by joint.
     Raises `BadInputError`: no such file, or a value beside a robot.toml, which has a key for it.
     """
-    limits = {
-        "--bandwidth-hz": bandwidth_hz,
-        "--range": position,
-        "--speed": speed,
-        "--acceleration": acceleration,
-    }
     given = {
         option: tuple(np.atleast_1d(value).tolist())
-        for option, value in limits.items()
+        for option, value in (
+            ("--bandwidth-hz", bandwidth_hz),
+            ("--range", position),
+            ("--speed", speed),
+            ("--acceleration", acceleration),
+        )
         if value is not None
     }
     return export.read_robot(Path(path), joints, given)
@@ -161,15 +161,16 @@ def fit(
         cannot be read, or a velocity in a wrong unit or of a wrong sign.
     NoFitError : too little motion.
     """
-    if method not in (None, "iv", "wls", "ols"):
-        raise BadInputError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
-    if isinstance(robot, Robot) and bandwidth_hz is not None:
-        raise BadInputError(
-            "has no effect",
-            key="bandwidth_hz",
-            value=bandwidth_hz,
-            expected="a URDF's path with it",
-        )
+    COMMAND_LINE.require(
+        method in (None, "iv", "wls", "ols"), "method", method, "'iv', 'wls' or 'ols'"
+    )
+    COMMAND_LINE.require(
+        not isinstance(robot, Robot) or bandwidth_hz is None,
+        "bandwidth_hz",
+        bandwidth_hz,
+        "a URDF's path with it",
+        text="has no effect",
+    )
     overrides = Overrides(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
@@ -179,20 +180,28 @@ def fit(
     )
     for key in ("cutoff_hz", "decimation", "low_speed_percent"):
         value = getattr(overrides, key)
-        if value is not None and not 0 <= value < float("inf"):
-            raise BadInputError(key=key, value=value, expected="a number from 0")
+        COMMAND_LINE.require(
+            value is None or 0 <= value < float("inf"), key, value, "a number from 0"
+        )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
-    optional: dict[str, Any] = {
-        "q_ref": q_ref,
-        "velocity": velocity,
-        "known_torque": known_torque,
-        "feedforward": feedforward,
+    given: dict[str, Any] = {
+        "q": q,
+        "effort": tau,
+        "sample_rate_hz": sample_rate_hz,
         "payload": payload or "",
+        **{
+            name: x
+            for name, x in (
+                ("q_ref", q_ref),
+                ("velocity", velocity),
+                ("known_torque", known_torque),
+                ("feedforward", feedforward),
+            )
+            if x is not None
+        },
     }
-    given = {"q": q, "effort": tau, "sample_rate_hz": sample_rate_hz}
-    given |= {name: x for name, x in optional.items() if x is not None}
     sources = _several_of_arrays(described, given) if several else (_of_arrays(described, given),)
     return _of_user(
         results.identify(Recordings(sources=sources), overrides, method=method, essential=essential)
@@ -204,10 +213,12 @@ def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ..
     count = len(given["q"])
     for name, x in given.items():
         given[name] = x if isinstance(x, list | tuple | np.ndarray) else [x] * count
-        if len(given[name]) != count:
-            raise BadInputError(
-                key=f"len({name})", value=len(x), expected=f"{count}, one for each of q"
-            )
+        COMMAND_LINE.require(
+            len(given[name]) == count,
+            f"len({name})",
+            len(given[name]),
+            f"{count}, one for each of q",
+        )
     each = (_of_arrays(robot, {name: x[k] for name, x in given.items()}) for k in range(count))
     return tuple(
         replace(one, recording=f"{one.recording} {k}") for k, one in enumerate(each, start=1)

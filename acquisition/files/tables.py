@@ -119,8 +119,9 @@ def _parse_csv(
     """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
     decimal commas as points.
     """
-    is_utf_16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))  # byte order marks
-    text = data.decode("utf-16" if is_utf_16 else "utf-8-sig", errors="replace")
+    text = data.decode(  # UTF-16 has a byte order mark
+        "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig", errors="replace"
+    )
     if "\N{REPLACEMENT CHARACTER}" in text:
         text = data.decode("cp1252", errors="replace")  # Windows in western Europe
     text = text.replace('"', "")

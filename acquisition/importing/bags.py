@@ -88,11 +88,10 @@ def import_bag(
     controller = options.reference_topic or _only_controller(
         controllers, joints, Location(str(bag))
     )
-    q = parts["position"]
     parts["effort"], provenance, effort_object = _effort(
         robot, parts.get("effort"), options.effort_unit, place
     )
-    refuse_several_publishers(q, parts["effort"], joints, place)
+    refuse_several_publishers(parts["position"], parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
         warnings.append("velocities that are not finite numbers are left out")
@@ -101,7 +100,7 @@ def import_bag(
     grid = grid_of_new_rows(time_s, parts, place, options.resample_hz) or with_warnings(
         resample(time_s, parts, rate_hz=options.resample_hz, place=place),
         time_s,
-        q,
+        parts["position"],
         "times of reception" if received else "header stamps",
         "record a topic that the robot's own clock stamps, or import a table whose map states "
         "sample_rate_hz",
@@ -116,17 +115,22 @@ def import_bag(
         if options.reference_topic:
             raise
         warnings.append(f"no reference: {error.args[0]}")
-    header = Header(
-        robot=robot,
-        source=f"ROS 2 bag {bag.name}, topic {topic}",
-        sample_rate_hz=grid.rate_hz,
-        effort_provenance=provenance,
-        effort_timing="measured",
-        payload=payload,
-        notes={**grid.notes, "effort_object": effort_object, **reference},
-    )
     return replace(
-        write_samples(header, grid, warnings, str(place), out),
+        write_samples(
+            Header(
+                robot=robot,
+                source=f"ROS 2 bag {bag.name}, topic {topic}",
+                sample_rate_hz=grid.rate_hz,
+                effort_provenance=provenance,
+                effort_timing="measured",
+                payload=payload,
+                notes={**grid.notes, "effort_object": effort_object, **reference},
+            ),
+            grid,
+            warnings,
+            str(place),
+            out,
+        ),
         topic="" if options.topic else f"{topic}, the only one of {JOINT_STATE}",
     )
 
@@ -173,12 +177,18 @@ def _with_reference(
         text=f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state",
     )
     at = np.flatnonzero(inside)
-    time_s, kept = time_s[at], {name: taken(x, at) for name, x in grid.parts.items()}
-    kept["reference"] = interpolate(own_s, rows["reference"], time_s)
-    absent = np.asarray(grid.absent)[at] | in_gaps(own_s, time_s)
+    time_s = time_s[at]
     left_out = f"; {(~inside).sum()} samples before and after it left out" * (not inside.all())
     return (
-        replace(grid, parts=kept, start_s=float(time_s[0]), absent=absent),
+        replace(
+            grid,
+            parts={
+                **{name: taken(x, at) for name, x in grid.parts.items()},
+                "reference": interpolate(own_s, rows["reference"], time_s),
+            },
+            start_s=float(time_s[0]),
+            absent=np.asarray(grid.absent)[at] | in_gaps(own_s, time_s),
+        ),
         f"{topic}, {report.rows} rows at {1 / report.period_s:.4g} Hz, interpolated{left_out}",
     )
 
@@ -208,18 +218,21 @@ def _effort(
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
     side = effort_side(robot, units, "joint" if at_joint else "motor", "--effort-unit", place)
     what = f"{', '.join(effort_unit)} at the {side}"
-    rule = effort_at_joint(robot, effort[:1] * factors, side)[1]
     return (
         by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort),
-        f"effort of {place}: {what}, as stated; {rule}",
+        f"effort of {place}: {what}, as stated; "
+        + effort_at_joint(robot, effort[:1] * factors, side)[1],
         what,
     )
 
 
 def _storage(path: Path) -> Path:
     """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
-    whole = not path.is_dir() or (path / "metadata.yaml").exists()
-    files = [] if whole else sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
+    files = (
+        sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
+        if path.is_dir() and not (path / "metadata.yaml").exists()
+        else []
+    )
     Location(str(path)).require(
         len(files) <= 1,
         text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",

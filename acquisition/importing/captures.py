@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
-from ..errors import BadInputError, Location
+from ..errors import COMMAND_LINE, Location
 from ..protocol import ANSWER, REQUEST, Confirmed, Key, Values, words_of
 from ..recording import Block
 
@@ -220,10 +220,12 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
             )
         except ValueError:
             found.append([])
-        if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
-            raise BadInputError(
-                key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16"
-            )
+        COMMAND_LINE.require(
+            found[-1] and all(0 < bits < 2**14 for _, bits in found[-1]),
+            "--mapping",
+            text,
+            "such as 0x6041:16,0x6064:32,0x6077:16",
+        )
     return found
 
 
@@ -259,8 +261,14 @@ class Slaves:
     @property
     def stations(self) -> list[int]:
         """Those whose places are known, in the order of the bus; then the others."""
-        placed = (self._places[k] for k in sorted(self._places, reverse=True))
-        return list(dict.fromkeys([*placed, *sorted(self.registers)]))
+        return list(
+            dict.fromkeys(
+                [
+                    *(self._places[k] for k in sorted(self._places, reverse=True)),
+                    *sorted(self.registers),
+                ]
+            )
+        )
 
     def take(self, command: int, address: int, data: bytes) -> bool:
         """Whether a datagram changed what process data mean."""
@@ -270,12 +278,16 @@ class Slaves:
             self._places[slave - (slave >> 15 << 16)] = int.from_bytes(data, "little")
         elif _FMMUS <= register < _END:
             for station in list(self.registers) if command == BWR else [slave]:
-                memory = self.registers.setdefault(station, bytearray(_END))
-                memory[register : register + len(data)] = data[: _END - register]
+                self.registers.setdefault(station, bytearray(_END))[
+                    register : register + len(data)
+                ] = data[: _END - register]
         elif register >= MAILBOX and len(data) >= _MAIL.size:
             kind, service, sdo = _MAIL.unpack_from(data)
-            index = int.from_bytes(sdo[1:3], "little")
-            if kind & 15 == _COE and service >> 12 in _SERVICES and index in _MAPPING:
+            if (
+                kind & 15 == _COE
+                and service >> 12 in _SERVICES
+                and int.from_bytes(sdo[1:3], "little") in _MAPPING
+            ):
                 return self._take_sdo(slave, sdo, ANSWER if command == FPRD else REQUEST)
         return before != self._state(slave)
 

@@ -89,9 +89,11 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
         samples is not None or recording.frames or recording.capture,
         text="holds no samples and no frames before its cut: nothing can be repaired",
     )
-    notes = {**recording.metadata, "recovered_from": recording.sha256}
+    header = replace(
+        recording.header, notes={**recording.metadata, "recovered_from": recording.sha256}
+    )
     warnings: tuple[str, ...] = ()
-    with rewritten(recording, replace(recording.header, notes=notes), out) as writer:
+    with rewritten(recording, header, out) as writer:
         if recording.frames:
             frames = max(recording.frames.values(), key=len)
             end_ns = int(frames["time_ns"][-1])
@@ -217,9 +219,9 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
     for wrap_ns, text in _WRAPS.items():
         wraps = np.abs(np.abs(size) - wrap_ns) < _MAX_WRAP_NS
         if wraps.any() and time_ns.max() < wrap_ns + _MAX_WRAP_NS:
-            before = np.append(0, np.cumsum(np.sign(size[wraps])))
-            time_ns -= np.repeat(
-                before * wrap_ns, np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns))
+            time_ns -= wrap_ns * np.repeat(
+                np.append(0, np.cumsum(np.sign(size[wraps]))),
+                np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns)),
             )
             yield f"times wrapped after {text}: later ones are shifted forward"
     for k, by_ns, since_ns in steps_back(time_ns[syncs]):
@@ -239,8 +241,9 @@ def _echoes(frames: Block, bus: BusFile) -> Ints:
     as echoes and requests do.
     """
     sent = frames["flags"] & SENT > 0
-    both = np.intersect1d(frames["can_id"][sent], frames["can_id"][~sent])
-    rows = np.flatnonzero(np.isin(frames["can_id"], both))
+    rows = np.flatnonzero(
+        np.isin(frames["can_id"], np.intersect1d(frames["can_id"][sent], frames["can_id"][~sent]))
+    )
     some = frames[rows]
     some["time_ns"] = 0
     some["flags"] |= SENT

@@ -23,7 +23,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import Location
+from ..errors import Location, holding
 from ..files import atomic_write, field_of, release_pages
 from ..recording import (
     Block,
@@ -141,8 +141,10 @@ def import_capture(
         for block in joint_samples(_chosen(rows, chosen, stamp_ns, has_reference), robot, bus):
             writer.samples(block)
             t_s = (block["stamp_ns"] - first_ns) * np.float64(1e-9)
-            warnings += check_recorded_positions(robot, t_s, block["position"], str(at))
-            warnings += check_recorded_efforts(robot, block["effort"])
+            warnings += (
+                *check_recorded_positions(robot, t_s, block["position"], str(at)),
+                *check_recorded_efforts(robot, block["effort"]),
+            )
         for text in dict.fromkeys(warnings):
             writer.event(last_ns, "warning", text)
     return ImportSummary(
@@ -201,18 +203,21 @@ def _on_grid(
         process.refuse_no_rows()
     number = number[chosen]
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
-    told = {
-        "no reference: the targets are not mapped, or not in frames on their way out": (
-            not has_reference
-        ),
-        "no answer of a slave is in it: what was written to map objects counts": process.unanswered,
-        f"{process.short} cycles with a working counter below the full one are left out": (
-            process.short
-        ),
-        f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
-        "uncertain": uncertain,
-    }
-    warnings += [text for text, so in told.items() if so]
+    warnings += holding(
+        {
+            "no reference: the targets are not mapped, or not in frames on their way out": (
+                not has_reference
+            ),
+            "no answer of a slave is in it: what was written to map objects counts": (
+                process.unanswered
+            ),
+            f"{process.short} cycles with a working counter below the full one are left out": (
+                process.short
+            ),
+            f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
+            "uncertain": uncertain,
+        }
+    )
     steps = np.diff(number)
     gaps = (
         f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing"

@@ -38,17 +38,19 @@ def grid_of_new_rows(
     errors as of `resample`.
     """
     q = parts[POSITION]
-    span = np.maximum(np.ptp(q, axis=0), 1e-300)
     if len(q) <= 4 * AHEAD or not (np.diff(time_s) > 0).all():
         return None
     steps = by_rows(lambda x: np.abs(np.diff(x, axis=0)), q, beside=1)
-    travel = by_rows(lambda x: np.abs(x[2 * AHEAD :] - x[: -2 * AHEAD]) @ (1 / span), q, beside=16)
+    per_span = 1 / np.maximum(np.ptp(q, axis=0), 1e-300)
+    travel = by_rows(lambda x: np.abs(x[2 * AHEAD :] - x[: -2 * AHEAD]) @ per_span, q, beside=16)
     fast = np.flatnonzero(travel > np.median(travel)) + AHEAD
     new = np.asarray(steps.any(axis=1))
-    if not len(fast) or new[fast].mean() > MAX_NEW:
-        return None
-    quanta = steps[fast[new[fast]]] / smallest_difference(q)
-    if not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
+    if (
+        not len(fast)
+        or new[fast].mean() > MAX_NEW
+        or not np.median((steps[fast[new[fast]]] / smallest_difference(q)).max(axis=1))
+        >= MIN_QUANTA
+    ):
         return None
     rows = np.flatnonzero(np.r_[True, new])
     at_s, own_hz = _times_of_source(time_s[rows], float(np.median(np.diff(time_s))))
@@ -56,17 +58,19 @@ def grid_of_new_rows(
         f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
         f"positions are new at {own_hz:.6g} Hz; of {len(q)} rows only these {len(rows)} are kept"
     )
-    grid = resample(
-        at_s,
-        {
-            name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
-            for name, x in parts.items()
-        },
-        rate_hz=min(rate_hz or own_hz, own_hz),
-        largest_gap_periods=largest_gap_periods,
-        place=place,
+    return replace(
+        resample(
+            at_s,
+            {
+                name: taken(x, rows) if _alike(x, new) else interpolate(time_s, x, at_s)
+                for name, x in parts.items()
+            },
+            rate_hz=min(rate_hz or own_hz, own_hz),
+            largest_gap_periods=largest_gap_periods,
+            place=place,
+        ),
+        warnings=(text,),
     )
-    return replace(grid, warnings=(text,))
 
 
 def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:

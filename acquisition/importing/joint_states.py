@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import BadInputError, Location, listed
+from ..errors import BadInputError, Location, holding, listed
 from ..files import BLOCK_ROWS, GrowingBytes, by_rows
 from .stamps import smallest_difference
 
@@ -127,21 +127,24 @@ class JointStates:
             expected=ONE_PUBLISHER,
             text=f"the names or their order change {self._changes} times in {count} messages",
         )
-        doubts = {
-            "headers have no stamps: times are those of reception, which jitter more": received,
-            f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it "
-            "with one": self.publishers > 1,
-            f"{self._others} messages without any of the joints are left out": self._others,
-            f"the names or their order change {self._changes} times: joints go by their "
-            "names": self._changes,
-            f"{first} states at the start are left out: a position or an effort is nan "
-            "there": first,
-        }
         return (
             (rows["received"].astype(np.int64) if received else stamps)[first:],
             received,
             {kind: x[first:] for kind, x in arrays.items()},
-            [text for text, holds in doubts.items() if holds],
+            holding(
+                {
+                    "headers have no stamps: times are those of reception, which jitter more": (
+                        received
+                    ),
+                    f"{topic} has {self.publishers} publishers (connections or QoS profiles): "
+                    "record it with one": self.publishers > 1,
+                    f"{self._others} messages without any of the joints are left out": self._others,
+                    f"the names or their order change {self._changes} times: joints go by their "
+                    "names": self._changes,
+                    f"{first} states at the start are left out: a position or an effort is nan "
+                    "there": first,
+                }
+            ),
         )
 
 
@@ -171,9 +174,8 @@ def refuse_several_publishers(
     far from its neighbours.
     """
     least = MIN_PUBLISHER_QUANTA * smallest_difference(effort)
-    zero = np.asarray(~effort.any(axis=1))
     large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
-    single = zero[1:-1] & large[:-2] & large[2:]
+    single = np.asarray(~effort[1:-1].any(axis=1)) & large[:-2] & large[2:]
     if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
         place.refuse(
             "effort",
@@ -200,12 +202,14 @@ def _alternating_share(x: Array) -> Array:
     for a row, as of an encoder slower than the log, do not alternate.
     """
     least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
-    found = [
-        _alternating(x[first : min(first + BLOCK_ROWS, rows) + 2], least)
-        for first in range(0, rows, BLOCK_ROWS)
-    ]
-    # two may be chance
-    return np.maximum(sum(found, np.zeros(x.shape[1])) - 2, 0) / max(1, rows // WINDOW)
+    found = sum(
+        (
+            _alternating(x[first : min(first + BLOCK_ROWS, rows) + 2], least)
+            for first in range(0, rows, BLOCK_ROWS)
+        ),
+        np.zeros(x.shape[1]),
+    )
+    return np.maximum(found - 2, 0) / max(1, rows // WINDOW)  # two may be chance
 
 
 def _alternating(x: Array, least: Array) -> Array:

@@ -60,8 +60,7 @@ class ProcessData:
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Location) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
-        # by datagrams that came back, and that went out
-        self._slaves = {True: Slaves(), False: Slaves()}
+        self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, or went out
         self._fields: dict[Part, Fields] = {}
         self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
@@ -80,7 +79,6 @@ class ProcessData:
             if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
                 self._since = self._packets + int(one["packet"])  # rows before a change are dropped
                 self._fields, self._columns, self._seen = {}, {}, {}
-        parts: dict[Part, Block] = {}
         process = found[
             np.isin(found["command"], (LRD, LWR, LRW))
             & (found["packet"] + self._packets > self._since)
@@ -91,10 +89,13 @@ class ProcessData:
             | process["length"].astype(np.int64) << 1
             | (process["counter"] > 0)
         )
-        for k in np.unique(key):
-            part = Part(int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1))
-            parts[part] = process[key == k]
-            self._seen[part] = self._seen.get(part, 0) + len(parts[part])
+        parts = {
+            Part(int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1)): (
+                process[key == k]
+            )
+            for k in np.unique(key)
+        }
+        self._seen |= {part: self._seen.get(part, 0) + len(rows) for part, rows in parts.items()}
         if not self._fields:
             self._fields = self._find_fields()
             self._columns = {part: GrowingBytes() for part in self._fields}

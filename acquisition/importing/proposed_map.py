@@ -226,16 +226,14 @@ def _only(
     """The only group of these kinds that is measured or does not say so, else why there is none;
     `size`: of the position.
     """
-    sources = {source, source.replace("measured", "")}
     found = [
         group
-        for key, group in groups.items()
-        if key[0] in kinds and key[1].removesuffix(" motor") in sources
+        for (kind, own), group in groups.items()
+        if kind in kinds and own.removesuffix(" motor") in (source, source.replace("measured", ""))
     ]
     fits = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))]
-    if len(fits) == 1:
-        return fits[0], ""
-    return [], " or ".join(x if isinstance(x, str) else _keys(x) for x in fits or found)
+    why = " or ".join(x if isinstance(x, str) else _keys(x) for x in fits or found)
+    return (fits[0], "") if len(fits) == 1 else ([], why)
 
 
 def _keys(columns: Sequence[_Column]) -> str:

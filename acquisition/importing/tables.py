@@ -109,16 +109,21 @@ def import_tables(
     place.require(rows >= 2, "position", expected="2 at least", text=f"{rows} row")
     names = ", ".join(table.name for table in tables)
     grid = _on_grid(source, table_map, parts)
-    header = Header(
-        robot=robot,
-        source=f"tables {names}",
-        sample_rate_hz=grid.rate_hz,
-        effort_provenance=provenance,
-        effort_timing=table_map.effort_timing,
-        payload=payload,
-        notes={**grid.notes, "effort_object": effort_object},
+    return write_samples(
+        Header(
+            robot=robot,
+            source=f"tables {names}",
+            sample_rate_hz=grid.rate_hz,
+            effort_provenance=provenance,
+            effort_timing=table_map.effort_timing,
+            payload=payload,
+            notes={**grid.notes, "effort_object": effort_object},
+        ),
+        grid,
+        (),
+        names,
+        out,
     )
-    return write_samples(header, grid, (), names, out)
 
 
 def lines_to_fill_in(content: bytes) -> list[int]:
@@ -229,9 +234,11 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
     place.require(
         time.unit in TIME_UNITS, "time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}"
     )
-    stamp_s = None
-    if time.column is not None:
-        stamp_s = _column(source, time, time.column, parts) * TIME_UNITS[time.unit]
+    stamp_s = (
+        None
+        if time.column is None
+        else _column(source, time, time.column, parts) * TIME_UNITS[time.unit]
+    )
     if time.ticks is None or time.tick_s is None:
         assert stamp_s is not None
         return (
@@ -314,13 +321,15 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
             for i, joint in enumerate(robot.joints)
         ),
     ]
-    start_ns = samples["stamp_ns"][0]
     write_columns(
         out,
         ["_".join(name.split()) for name in names],
         (
             np.column_stack(
-                [(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)]
+                [
+                    (part["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9,
+                    *(part[field] for field in fields),
+                ]
             )
             for part in in_parts(samples)
         ),
@@ -331,10 +340,9 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 def _unit(robot: Robot, field: str, joint: int) -> str:
     """Unit of a field of a joint's samples, for the name of a column."""
     unit, effort = robot.joints[joint].position_unit, robot.effort_units[joint]
-    others = {
+    return {
         "velocity": f"{unit}_s",
         "effort": effort,
         "known_torque": effort,
         "feedforward": robot.motors[joint].recorded_unit,
-    }
-    return others.get(field, unit)
+    }.get(field, unit)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array, Bools, Ints, first_true
-from ..errors import Location
+from ..errors import Location, holding
 from ..files import BLOCK_ROWS, allocate, atomic_write, taken
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, in_gaps
 from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
@@ -53,19 +53,26 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        parts = {
-            f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
-            f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms": True,
-            f"jitter sd {1e3 * self.jitter_s:.4g} ms": True,
-            f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps": True,
-            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows": True,
-            f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
-            f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
-                self.stamps_off_s is not None
-            ),
-            f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
-        }
-        return ", ".join(text for text, holds in parts.items() if holds)
+        return ", ".join(
+            holding(
+                {
+                    f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
+                    f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms": True,
+                    f"jitter sd {1e3 * self.jitter_s:.4g} ms": True,
+                    f"{self.gaps} gaps, {self.missing} rows missing"
+                    if self.gaps
+                    else "no gaps": True,
+                    f"{self.doubled} doubled rows left out"
+                    if self.doubled
+                    else "no doubled rows": True,
+                    f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
+                    f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
+                        self.stamps_off_s is not None
+                    ),
+                    f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
+                }
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +103,11 @@ class GridValues:
             expected="68 years and 100 MHz at most",
             text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
         )
-        since_ns = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
-        return np.asarray(self.first_ns + round(start_s * 1e9) + since_ns)
+        return np.asarray(
+            self.first_ns
+            + round(start_s * 1e9)
+            + np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
+        )
 
 
 def with_warnings(
@@ -249,8 +259,8 @@ def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
     """
     rows = row_numbers(time_s) if rows is None else rows
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
-    deviation = float(np.std(time_s - time_s[0] - start - period * rows))
-    return roundest(1 / period, 3 * deviation / float(time_s[-1] - time_s[0]), 1e-2)
+    off = time_s - time_s[0] - start - period * rows
+    return roundest(1 / period, 3 * float(np.std(off)) / float(time_s[-1] - time_s[0]), 1e-2)
 
 
 def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
@@ -270,18 +280,19 @@ def rate_warnings(report: TimeReport) -> list[str]:
     if report.grid_hz is None:
         return []
     ratio, own_hz = report.grid_hz * report.period_s, 1 / report.period_s
-    found = {
-        f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
-        f"contradicts their {report.clock}: use another clock": (
-            report.off > MAX_LEFT_OUT * report.rows
-        ),
-        f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half "
-        "of it is aliased into the samples; interpolate to the rows' own rate, a fit decimates "
-        "by itself": ratio < MIN_RATE_RATIO,
-        f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
-        "samples between rows are interpolated and add no information": ratio > MAX_RATE_RATIO,
-    }
-    return [text for text, holds in found.items() if holds]
+    return holding(
+        {
+            f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
+            f"contradicts their {report.clock}: use another clock": (
+                report.off > MAX_LEFT_OUT * report.rows
+            ),
+            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
+            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit "
+            "decimates by itself": ratio < MIN_RATE_RATIO,
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
+            "samples between rows are interpolated and add no information": ratio > MAX_RATE_RATIO,
+        }
+    )
 
 
 def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> GridValues:

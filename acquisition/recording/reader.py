@@ -112,8 +112,10 @@ class Recording:
     @property
     def no_samples(self) -> str:
         """The reason why there are no samples, as recorded."""
-        texts = (e.text for e in reversed(self.events) if e.text.startswith(NO_SAMPLES))
-        return next(texts, "holds no joint samples")
+        return next(
+            (e.text for e in reversed(self.events) if e.text.startswith(NO_SAMPLES)),
+            "holds no joint samples",
+        )
 
     @property
     def effort_timing(self) -> EffortTiming:
@@ -145,9 +147,9 @@ class Recording:
         )
 
     def __repr__(self) -> str:
-        samples = 0 if self.samples is None else len(self.samples)
         return (
-            f"Recording({self.robot.name}: {samples} samples at {self.sample_rate_hz:g} Hz, "
+            f"Recording({self.robot.name}: {0 if self.samples is None else len(self.samples)} "
+            f"samples at {self.sample_rate_hz:g} Hz, "
             f"{sum(map(len, self.frames.values()))} CAN frames{', cut' if self.cut else ''})"
         )
 
@@ -218,9 +220,8 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     """Concatenated rows of a known layout, compared as text, never evaluated; further objects of
     old versions are skipped. Errors name `place`.
     """
-    text, skipped = blocks.layout, 0
-    if (earlier := _EXTRA.fullmatch(text)) is not None:
-        text, skipped = f"{earlier[1]}]", int(earlier[2])
+    earlier = _EXTRA.fullmatch(blocks.layout)
+    text, skipped = (f"{earlier[1]}]", int(earlier[2])) if earlier else (blocks.layout, 0)
     dtype = Location(place).given(
         next((layout for layout in known if repr(layout.descr) == text), None),
         text=f"layout {blocks.layout[:200]!r}",
@@ -233,8 +234,7 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
         expected=f"blocks of whole rows of {whole.itemsize} bytes",
     )
     rows = np.frombuffer(blocks.data.whole(), whole)
-    if skipped:
-        rows = rows[list(dtype.names or ())]
+    rows = rows[list(dtype.names or ())] if skipped else rows
     rows.flags.writeable = False
     return rows
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints, first_true
-from ..errors import Location
+from ..errors import Location, holding
 from ..files import by_rows, kept, release_pages
 from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
 from ..robot import Bus, Robot, resolve
@@ -144,9 +144,11 @@ class Traffic:
 
     def __init__(self, frames: Block) -> None:
         self.frames = frames
-        other = EXTENDED | ERROR | REMOTE_REQUEST
         self.ids: NDArray[np.uint16] = by_rows(
-            lambda x: np.where(x["flags"] & other, _NO_ID, x["can_id"]).astype(np.uint16), frames
+            lambda x: np.where(
+                x["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST), _NO_ID, x["can_id"]
+            ).astype(np.uint16),
+            frames,
         )
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
@@ -213,13 +215,14 @@ def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]
     if not any(file.mapping == "traffic" for file in files):
         return frames, bus
     left_out = np.count_nonzero(pdos) - np.count_nonzero(pdos[first:end])
-    notes = {
-        "no answer of a drive is in the log: what was written to map PDOs counts": silent,
-        f"{left_out} of {np.count_nonzero(pdos)} PDOs are left out: when they were sent, a drive "
-        "had another mapping, or one that is not in the log": left_out,
-    }
-    told = (*bus.notes, *(text for text, so in notes.items() if so))
-    return frames[first:end], replace(bus, notes=told)
+    told = holding(
+        {
+            "no answer of a drive is in the log: what was written to map PDOs counts": silent,
+            f"{left_out} of {np.count_nonzero(pdos)} PDOs are left out: when they were sent, a "
+            "drive had another mapping, or one that is not in the log": left_out,
+        }
+    )
+    return frames[first:end], replace(bus, notes=(*bus.notes, *told))
 
 
 def _changed(drives: Mapping[int, Confirmed], can_id: int, data: bytes) -> bool:

@@ -34,11 +34,21 @@ def overview(recording: Recording) -> dict[str, Any]:
     }
     first_ns = min((int(first) for first, _ in spans.values()), default=None)
     if samples is not None:
-        units = ("name", "position_unit", "position", "effort_unit", "effort")
-        columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
         joints = [
-            dict(zip(units, (joint.name, joint.position_unit, *found), strict=True))
-            for joint, *found in zip(robot.joints, *columns, strict=True)
+            {
+                "name": joint.name,
+                "position_unit": joint.position_unit,
+                "position": position,
+                "effort_unit": effort_unit,
+                "effort": effort,
+            }
+            for joint, position, effort_unit, effort in zip(
+                robot.joints,
+                _ranges(samples, "position"),
+                robot.effort_units,
+                _ranges(samples, "effort"),
+                strict=True,
+            )
         ]
         first_ns = int(samples["stamp_ns"][0])
     return {
@@ -167,7 +177,6 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
         else "none",
         "steps": f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out",
     }
-    counters = {} if found["health"] is None else found["health"].counters
     optional = {
         **{
             key.partition("_")[0]: found[key]
@@ -179,7 +188,8 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
             for count in found["frames"]
         },
         "events": found["events"] and str(len(found["events"])),
-        "health": ", ".join(f"{name} {value:g}" for name, value in counters.items()),
+        "health": found["health"]
+        and ", ".join(f"{name} {value:g}" for name, value in found["health"].counters.items()),
     }
     return {
         "robot": found["robot"],

@@ -164,9 +164,11 @@ def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
 
 def _mean_of_run(values: Array | Ints, run: Ints) -> Array | float:
     """The mean of each value's run."""
-    if not run[-1]:
-        return float(values.mean())
-    return np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
+    return (
+        np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
+        if run[-1]
+        else float(values.mean())
+    )
 
 
 def _slope(index: Ints, since: Array, run: Ints) -> float:

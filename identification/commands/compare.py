@@ -35,12 +35,16 @@ def run(options: argparse.Namespace) -> None:
     second = prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)
     names = [str(path) if options.a.stem == options.b.stem else path.stem for path in paths]
     a, b = ParameterSet.of_file(first, names[0]), ParameterSet.of_file(second, names[1])
-    warnings = (
-        *first.warnings_of(str(options.a)),
-        *second.warnings_of(str(options.b)),
-        *frame_lines(first, second, (a.label, b.label)),
+    document = comparison_document(
+        a,
+        b,
+        (
+            *first.warnings_of(str(options.a)),
+            *second.warnings_of(str(options.b)),
+            *frame_lines(first, second, (a.label, b.label)),
+        ),
+        prior=prior,
     )
-    document = comparison_document(a, b, warnings, prior=prior)
     digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in paths}
     show_results(
         options,

@@ -58,12 +58,16 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
     if options.start is not None and options.method in ("ols", "wls"):
-        unused = f"has no effect with --method {options.method}"
-        shared.COMMAND_LINE.refuse("--start", options.start, "--method iv", text=unused)
+        shared.COMMAND_LINE.refuse(
+            "--start",
+            options.start,
+            "--method iv",
+            text=f"has no effect with --method {options.method}",
+        )
     if options.prior is not None and not options.consistent:
-        alone = "has no effect alone"
-        prior = str(options.prior)
-        shared.COMMAND_LINE.refuse("--prior", prior, "--consistent with it", text=alone)
+        shared.COMMAND_LINE.refuse(
+            "--prior", str(options.prior), "--consistent with it", text="has no effect alone"
+        )
     pictures = _pictures(options)
     with Progress("reading") as progress:
         from .. import results
@@ -142,8 +146,9 @@ def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "resul
     iteration = None if options.start is None else methods.Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):
         stored = report.read_fit(Path(options.start))
-        values = partial(results.stored_beta, stored, place=options.start)
-        iteration = methods.Iteration(start=options.start, values=values)
+        iteration = methods.Iteration(
+            start=options.start, values=partial(results.stored_beta, stored, place=options.start)
+        )
     fit = results.identify(
         data.Recordings(sources=tuple(sources), work=shared.work_of(options, len(sources))),
         from_options(Overrides, options),

@@ -60,5 +60,8 @@ def run(options: argparse.Namespace) -> int:
         rows = run_fleet(found, options.method, store, work_of(options, len(found)), progress.say)
     write_table(out, rows)
     print_results(fleet_document(rows), everything=False)
-    is_fitted = any(row.parameters for row in rows)
-    return trust_status([] if is_fitted else [f"no recording could be fitted: {rows[0].reason}"])
+    return trust_status(
+        []
+        if any(row.parameters for row in rows)
+        else [f"no recording could be fitted: {rows[0].reason}"]
+    )

@@ -87,5 +87,9 @@ def _status(options: argparse.Namespace, error: float | None) -> int:
     if limit is None or (error is not None and error <= limit):
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
-    on = ", ".join(map(str, options.recordings))
-    return shared.trust_status([f"{options.fit} on {on}: {found}: expected at most {limit:g} %"])
+    return shared.trust_status(
+        [
+            f"{options.fit} on {', '.join(map(str, options.recordings))}: {found}: expected at "
+            f"most {limit:g} %"
+        ]
+    )

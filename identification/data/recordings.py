@@ -114,8 +114,11 @@ def _read(path: Path) -> tuple[Recording, Block]:
     """Read a recording that is whole, and its samples, of which there must be some."""
     recording = read_recording(path)
     if recording.cut:
-        repaired = f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it"
-        raise BadInputError("is cut off", place=str(path), expected=repaired)
+        raise BadInputError(
+            "is cut off",
+            place=str(path),
+            expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
+        )
     if recording.samples is None or len(recording.samples) == 0:
         raise BadInputError(
             recording.no_samples,
@@ -136,9 +139,11 @@ def _with_recorded_controller(
     if law is None:
         return robot, ()
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
-    found = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     warning = "the given [controller] is not used: the drives of a dry run have their own"
-    return found, (f"{path.name}: {warning}",) * is_other
+    return (
+        robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path)),
+        (f"{path.name}: {warning}",) * is_other,
+    )
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
@@ -197,10 +202,8 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
             expected=f"{period * 1e-6:.3f} ms, and each motion as a recording of its own",
         )
     whole = steps.max() <= 1.5 * period or len(since) < 3
-    if whole:
-        period = float(since[-1]) / (len(since) - 1)
-    else:
-        period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
+    agreed = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
+    period = float(since[-1]) / (len(since) - 1) if whole else agreed
     at = since / period
     off = at - (np.arange(len(since)) if whole else np.rint(at))
     off_grid = (
@@ -208,8 +211,11 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
         if whole
         else float(np.abs(off).max())
     )
-    is_grid = whole and off_grid <= ON_GRID
-    grid = since if is_grid else np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    grid = (
+        since
+        if whole and off_grid <= ON_GRID
+        else np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    )
     return grid, round(1e9 / period, 6), off_grid
 
 
@@ -225,13 +231,12 @@ def _resample(grid: Array, since: Array, x: Array) -> Array:
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over time in s from the first sample."""
     rows = [(1e-9 * (one.stamp_ns - first_ns), one.counters) for one in recording.health]
-    names = dict.fromkeys(name for _, counters in rows for name in counters)
     return {
         name: (
             np.array([t_s for t_s, counters in rows if name in counters]),
             np.array([float(counters[name]) for _, counters in rows if name in counters]),
         )
-        for name in names
+        for name in dict.fromkeys(name for _, counters in rows for name in counters)
     }
 
 
@@ -275,8 +280,10 @@ class RecordingFile:
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
-        given = self.description and robot_from_files(dict(self.description), self.path)
-        signals = load_signals(self.path, given or None)
+        signals = load_signals(
+            self.path,
+            robot_from_files(dict(self.description), self.path) if self.description else None,
+        )
         match self.payload:
             case None:
                 return signals

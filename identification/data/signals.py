@@ -94,11 +94,11 @@ class Signals:
         if n != joints:
             place.refuse("joints recorded", n, f"{joints}, as the robot has")
         if self.known_torque is not None and not self.robot.gain_known:
-            units = " and ".join(sorted(set(self.robot.effort_units)))
             place.refuse(
                 "known_torque",
                 expected=f"the drive gains of robot {self.robot.name}",
-                text=f"cannot be added to efforts in {units}",
+                text="cannot be added to efforts in "
+                + " and ".join(sorted(set(self.robot.effort_units))),
             )
         for name, array in parts.items():
             if not np.isfinite(array).all():

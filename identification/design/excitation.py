@@ -206,9 +206,11 @@ def excite(
         warnings=(*_warnings(limits, obstacles, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
-        at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
         refuse_out_of_range(
-            excitation.reference.at(at_sync)[0], robot, resolve(robot, place), "the reference"
+            excitation.reference.at(np.arange(0.0, settings.period_s, robot.bus.sync_period_s))[0],
+            robot,
+            resolve(robot, place),
+            "the reference",
         )
     return excitation
 
@@ -240,12 +242,11 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
     )
     count = math.floor(max_hz * settings.period_s + 1e-9)
     fewer = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
-    longer = f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
     Location(place).require(
         highest_hz <= max_hz * (1 + 1e-9),
         "harmonics",
         settings.harmonics,
-        fewer + longer,
+        f"{fewer}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
         text=f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
         f"{robot.bandwidth_hz:g} Hz",
     )

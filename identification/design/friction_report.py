@@ -46,9 +46,11 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
 def friction_document(choice: TermChoice) -> Document:
     """The sets that were tried, best first, and the lines of robot.toml for the recommended one."""
     usual, chosen = choice.usual, choice.recommended
-    errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms"
-    if chosen is not usual:
-        errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
+    errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms" + (
+        f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
+        if chosen is not usual
+        else ""
+    )
     table = Table(
         columns=(
             *columns("added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")),
@@ -110,15 +112,14 @@ def write_friction(path: Path, choice: TermChoice) -> None:
     """Put the recommended terms into the description at `path`, that of the choice; lines
     without use become comments.
     """
-    values = dict[str, dict[str, Any]]()
-    for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
-        unused = [
-            "viscous",
-            "coulomb",
-            "offset",
-            *([] if "stribeck" in terms else [joint.key("stribeck_speed")]),
-        ]
-        values[joint.name] = {"friction": list(terms)} | dict.fromkeys(unused)
+    values: dict[str, dict[str, Any]] = {
+        joint.name: {
+            "friction": list(terms),
+            **dict.fromkeys(("viscous", "coulomb", "offset")),
+            **({} if "stribeck" in terms else {joint.key("stribeck_speed"): None}),
+        }
+        for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True)
+    }
     write_text(
         path,
         replace_in_tables(choice.robot.files["robot.toml"].decode(), "joint", values, str(path)),

@@ -153,12 +153,12 @@ def torque_noise(
         np.mean(np.concatenate([model.torque(*motion) for motion in motions]) ** 2, axis=0)
     )
     rms = np.maximum(rms, 1e-6 * rms.max(initial=1e-9))
-    if knowledge.noise_share is None:
-        return (
-            NOISE_SHARE * rms,
-            f"{100 * NOISE_SHARE:g} % of the rms torque of the plain references",
-        )
-    return np.maximum(knowledge.noise_share, 1e-6) * rms, "the torque error of the fit"
+    assumed = f"{100 * NOISE_SHARE:g} % of the rms torque of the plain references"
+    return (
+        (NOISE_SHARE * rms, assumed)
+        if knowledge.noise_share is None
+        else (np.maximum(knowledge.noise_share, 1e-6) * rms, "the torque error of the fit")
+    )
 
 
 def rows_per_s(robot: Robot) -> float:

@@ -90,8 +90,9 @@ def intervals_of(
         share = _share(kept - (lost**2).sum(axis=-1).mean(axis=0), whole)
         each.append(deviations(scores, B) / np.sqrt(share))
         freedom += B
-    sigma = np.hypot.reduce(each)
-    return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
+    return intervals_from(
+        estimate, np.hypot.reduce([np.hypot.reduce(each), *estimate.stated.T]), freedom
+    )
 
 
 def not_below_white(estimate: Estimate, found: Intervals) -> Array:

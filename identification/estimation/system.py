@@ -96,9 +96,11 @@ class System:
 
     def with_columns(self, columns: Ints) -> "System":
         """The same system for some of its parameters."""
-        if len(columns) == len(self.names):
-            return self
-        return replace(self, W=self.W[:, columns], names=tuple(self.names[i] for i in columns))
+        return (
+            self
+            if len(columns) == len(self.names)
+            else replace(self, W=self.W[:, columns], names=tuple(self.names[i] for i in columns))
+        )
 
     def weighted(self, weights: Array) -> tuple[Array, Array]:
         """W (r, b) and Y (r,) with rows of joint j times `weights` (n,)."""

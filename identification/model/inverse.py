@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from acquisition.errors import listed
+from acquisition.errors import Location, listed
 from acquisition.robot import Robot
 
 from ..arrays import Array, Ints
@@ -158,10 +158,9 @@ class InverseModel:
         tau = np.zeros((K, n, N))
         for block, twists in self._twists(motion, n, gravity):
             for i, carriers in enumerate(self._carriers):
-                wrenches = (np.tensordot(parameters[:, i], x, 1) for x in unit_wrenches)
-                tau[:, carriers, block] += _link_torques(twists[i + 1], *wrenches).reshape(
-                    K, len(carriers), -1
-                )
+                tau[:, carriers, block] += _link_torques(
+                    twists[i + 1], *(np.tensordot(parameters[:, i], x, 1) for x in unit_wrenches)
+                ).reshape(K, len(carriers), -1)
         return np.ascontiguousarray(tau.swapaxes(1, 2))
 
     def _twists(
@@ -212,10 +211,8 @@ class InverseModel:
         """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R +
         by_sin sin q + by_cos cos q.
         """
-        turning = [joint.type == "revolute" for joint in self.robot.joints]
-        crosses = (
-            np.cross(np.eye(3), self.joint_frames[2][:, None]) * np.array(turning)[:, None, None]
-        )
+        turning = np.array([joint.type == "revolute" for joint in self.robot.joints])
+        crosses = np.cross(np.eye(3), self.joint_frames[2][:, None]) * turning[:, None, None]
         return [
             (origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K)))
             for origin, R, axis, K in zip(*self.joint_frames, crosses, strict=True)
@@ -306,8 +303,12 @@ def _model_from_dh(robot: Robot) -> pin.Model:
         assert dh is not None  # load_robot checks it
         about_x = pin.SE3(rotate("x", np.deg2rad(dh.alpha_deg)), np.array([dh.d_m, 0.0, 0.0]))
         about_z = pin.SE3(rotate("z", np.deg2rad(dh.theta_deg)), np.array([0.0, 0.0, dh.r_m]))
-        kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
-        parent = model.addJoint(parent, kind, about_x * about_z, joint.name)
+        parent = model.addJoint(
+            parent,
+            pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ(),
+            about_x * about_z,
+            joint.name,
+        )
     return model
 
 
@@ -319,10 +320,7 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         joints = root.findall("joint")
         found = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
         for name in wanted:
-            if name not in found:
-                raise BadInputError(
-                    place=place, key="movable joint", value=name, expected=f"one of {listed(found)}"
-                )
+            Location(place).require(name in found, "movable joint", name, f"one of {listed(found)}")
         _refuse_malformed_numbers(root, place)
         for element in root:  # what the model does not need, such as pictures, cannot fail then
             element[:] = [part for part in element if part.tag in _NEEDED.get(element.tag, ())]
@@ -345,8 +343,12 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         )
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         kind, at = built.shortname(), f"{place}: joint {described.name!r}"
-        if kind.startswith("JointModelP") != (described.type == "prismatic") or built.nq != 1:
-            raise BadInputError(place=at, key="type", value=kind, expected=described.type)
+        Location(at).require(
+            kind.startswith("JointModelP") == (described.type == "prismatic") and built.nq == 1,
+            "type",
+            kind,
+            described.type,
+        )
     return model
 
 

@@ -98,16 +98,21 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     adjacent = np.array([_are_adjacent(dynamics, geometry, *pair) for pair in pairs], dtype=bool)
     for k in np.flatnonzero(adjacent | is_near):
         geometry.removeCollisionPair(pin.CollisionPair(*pairs[k]))
-    near = dict.fromkeys(names[k] for k in np.flatnonzero(is_near & ~adjacent))
-    return replace(every, near=tuple(near))
+    return replace(
+        every, near=tuple(dict.fromkeys(names[k] for k in np.flatnonzero(is_near & ~adjacent)))
+    )
 
 
 def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
     start, along = np.array(capsule.from_m), np.array(capsule.to_m) - capsule.from_m
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
-    solid = coal.Capsule(capsule.radius_m, float(np.linalg.norm(along)))
     geometry.addGeometryObject(
-        pin.GeometryObject(f"{name}_0", link, pin.SE3(turn, start + along / 2), solid)
+        pin.GeometryObject(
+            f"{name}_0",
+            link,
+            pin.SE3(turn, start + along / 2),
+            coal.Capsule(capsule.radius_m, float(np.linalg.norm(along))),
+        )
     )
 
 

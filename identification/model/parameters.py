@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from acquisition.errors import listed
+from acquisition.errors import Location, listed
 from acquisition.robot import Payload
 
 from ..arrays import Array, Bools, Ints
@@ -173,9 +173,8 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
         groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
     text = ""
     for coefficient, members in groups.items():
-        inside, factor = " + ".join(members), f"{abs(coefficient):.6g} "
-        if abs(coefficient) == 1.0:
-            factor = ""
+        inside = " + ".join(members)
+        factor = "" if abs(coefficient) == 1.0 else f"{abs(coefficient):.6g} "
         if len(members) > 1 and (factor or coefficient < 0):
             inside = f"({inside})"
         text += (" - " if coefficient < 0 else " + " if text else "") + factor + inside
@@ -184,22 +183,21 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 def known_parameters(dynamics: InverseModel) -> Array:
     """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
-    values, names, place = dynamics.robot.parameters, dynamics.names, f"robot {dynamics.robot.name}"
-    if not values:
-        raise BadInputError(
-            "no [parameters] to simulate with",
-            place=place,
-            expected="inertials in the URDF when `init` read it, or `export --toml` of a fit",
-        )
+    values, names = dynamics.robot.parameters, dynamics.names
+    place = Location(f"robot {dynamics.robot.name}")
+    place.require(
+        values,
+        text="no [parameters] to simulate with",
+        expected="inertials in the URDF when `init` read it, or `export --toml` of a fit",
+    )
     for name, value in values.items():
-        if name not in names:
-            raise BadInputError(
-                "not a standard parameter of this robot",
-                place=place,
-                key=f"parameters.{name}",
-                value=value,
-                expected=f"such as {', '.join(names[:3])} ... {names[-1]}",
-            )
+        place.require(
+            name in names,
+            f"parameters.{name}",
+            value,
+            f"such as {', '.join(names[:3])} ... {names[-1]}",
+            text="not a standard parameter of this robot",
+        )
     return np.array([values.get(name, 0.0) for name in names])
 
 

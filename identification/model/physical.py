@@ -105,8 +105,7 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
             found.append((matrix, next(iter(viscous.values())), f"viscous friction of {names}"))
         if coulomb:
             corners = corner_speeds(np.array([term.direction for term in coulomb.values()]))
-            sums = corners @ np.eye(idm.p)[list(coulomb)]
-            found += [_single(idm, row) for row in sums]
+            found += [_single(idm, row) for row in corners @ np.eye(idm.p)[list(coulomb)]]
     return found
 
 

@@ -148,13 +148,15 @@ def _trust_chart(line: TrustResult) -> Rows:
             if value is not None
         ),
     ]
-    is_interval = any(mark.half for mark in marks)
     return Rows(
         path=("tests", line.test),
         title=f"{line.test}: {line.level}",
         names=[(name, LIGHT) for name, *_ in line.figures],
         columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
-        legend=(("● value ± 95 %" if is_interval else "● value", color), ("| expected", GREEN)),
+        legend=(
+            ("● value ± 95 %" if any(mark.half for mark in marks) else "● value", color),
+            ("| expected", GREEN),
+        ),
     )
 
 
@@ -197,15 +199,14 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
     """The essential parameters in all variants by both methods with 95 % intervals; lines at
     that of IV by the rules.
     """
-    names = [
-        (f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT)
-        for k, fit in enumerate(fits)
-    ]
     return [
         Rows(
             path=("sensitivity", part[0]),
             title=", ".join(part),
-            names=names,
+            names=[
+                (f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT)
+                for k, fit in enumerate(fits)
+            ],
             columns=[_sensitivity_column(fits, name) for name in part],
             legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY)),
         )
@@ -301,11 +302,11 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             (name if median is None else f"{name}: median {median:.3g}", LIGHT),
             *[("", LIGHT)] * (STUDY_ROWS - 1),
         ]
-        if median is not None:
-            marks += [
-                Mark(row=top + k, value=median, color=LIGHT, shape="tick")
-                for k in range(STUDY_ROWS)
-            ]
+        marks += [
+            Mark(row=top + k, value=median, color=LIGHT, shape="tick")
+            for k in range(STUDY_ROWS)
+            if median is not None
+        ]
     return Rows(
         path=("study",),
         title=f"total error of {len(runs)} runs, of the true values",

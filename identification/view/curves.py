@@ -89,17 +89,22 @@ def _decimate(
     """Lines of the raw motion and torque, or of the filtered motion, for
     each quantity and joint.
     """
-    start, stop, stride = 0, len(signals.q), 1
-    if settings is not None:
-        start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
+    start, stop, stride = (
+        (0, len(signals.q), 1)
+        if settings is None
+        else (settings.start, settings.stop, model_stride(signals, settings))
+    )
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
     step = bucket_size(-(-(stop - start) // stride))
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         m = motion.between(a, min(stop, a + size), settings.cutoff_hz if settings else None)
-        series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
-        if settings is None:
-            series["torque"] = m.tau
+        series = {
+            "q": m.q,
+            "dq": m.dq,
+            "ddq": m.ddq,
+            **({"torque": m.tau} if settings is None else {}),
+        }
         for quantity, x in series.items():
             for j, parts in enumerate(pieces[quantity]):
                 k = stride * extremes(x[::stride, j], step)
@@ -122,9 +127,11 @@ def model_stride(signals: Signals, settings: Settings) -> int:
     """One of how many filtered samples is drawn: 1 for a short recording, else 20
     remain per cut-off period.
     """
-    if bucket_size(len(signals.q)) == 1 or settings.cutoff_hz is None:
-        return 1
-    return max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
+    return (
+        1
+        if bucket_size(len(signals.q)) == 1 or settings.cutoff_hz is None
+        else max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
+    )
 
 
 def extremes(x: Array, step: int) -> Ints:
@@ -154,8 +161,9 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
     units, plots = [joint.position_unit for joint in joints], []
     for j, joint in enumerate(joints):
         # joints of one type share a unit, for comparison
-        peak = max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j])
-        factor, unit = readable_unit(peak, units[j])
+        factor, unit = readable_unit(
+            max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j]), units[j]
+        )
         error = plot(signals, lines, "error", j)
         plots.append(
             replace(
@@ -296,23 +304,22 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
             ("torque", robot.effort_units[j], tau, () if effort is None else (-effort, effort)),
         ):
             if x is not None:
-                curves = (
-                    Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j])),
-                    *(
-                        Curve(
-                            key=key,
-                            color=VERMILLION,
-                            line=(t_s[[0, -1]], np.full(2, end)),
-                            width=0.75,
-                        )
-                        for key, end in zip(("low", "high"), ends, strict=False)
-                    ),
-                )
                 plots.setdefault(quantity, []).append(
                     Plot(
                         path=(quantity, joint.name),
                         title=f"{quantity} {joint.name} [{shown}]",
-                        curves=curves,
+                        curves=(
+                            Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j])),
+                            *(
+                                Curve(
+                                    key=key,
+                                    color=VERMILLION,
+                                    line=(t_s[[0, -1]], np.full(2, end)),
+                                    width=0.75,
+                                )
+                                for key, end in zip(("low", "high"), ends, strict=False)
+                            ),
+                        ),
                         legend=False,
                     )
                 )
@@ -321,6 +328,5 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
 
 def readable_unit(peak: float, unit: str) -> tuple[float, str]:
     """Factor and unit in which values up to `peak` rad or m are readable: rad, mrad or µrad."""
-    if peak >= 1 or peak == 0:
-        return 1.0, unit
-    return (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
+    small = (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
+    return (1.0, unit) if peak >= 1 or peak == 0 else small

@@ -55,20 +55,22 @@ def write_html(path: Path, picture: Picture) -> None:
     """Write the report, all panels but the moving robot, versions and digests as HTML,
     complete or not at all.
     """
-    first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
-    pages = "\n".join(text for page in picture.pages if (text := _page(page)))
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1"><meta '
         'name="color-scheme" content="light dark">',
         f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
-        to_html(picture.document.short, heading=1, figures=first),
+        to_html(
+            picture.document.short,
+            heading=1,
+            figures=f'<div class="first">{_figure(picture.first)}</div>' if picture.first else "",
+        ),
         "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
         to_html(
             replace(picture.document, title="The whole report", badge=""),
             heading=1,
-            figures=pages,
+            figures="\n".join(filter(None, map(_page, picture.pages))),
         ),
         "</details>",
         "<footer><h2>made "
@@ -126,8 +128,8 @@ def _figure(panel: Panel) -> str:
                 f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
                 for _, bad, text in panel.lines[:MAX_EVENTS]
             ]
-            if len(panel.lines) > MAX_EVENTS:
-                lines.append(f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>")
+            more = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>"
+            lines += [more] * (len(panel.lines) > MAX_EVENTS)
             return f'<figure class="wide"><figcaption>{title}</figcaption>{"".join(lines)}</figure>'
         case Graph():
             named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
@@ -173,11 +175,12 @@ def draw_graph(graph: Graph) -> str:
         margin = 0.04 * float(np.ptp(x)) or 0.05 * float(np.abs(x).max()) or 1.0
         axes = linear(t.min(), t.max(), 6), linear(x.min() - margin, x.max() + margin, 5)
     parts = _grid(*axes)
-    inside = [mark for mark in graph.marks if t.min() < mark < t.max()]
-    for number, mark in enumerate(inside):
+    for number, mark in enumerate(mark for mark in graph.marks if t.min() < mark < t.max()):
         at = float(axes[0].place(mark, LEFT, RIGHT))
-        parts.append(f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{BOTTOM:g}"/>')
-        parts.append(_text(at - 4, BOTTOM - 24 + 16 * number, graph.marks[mark], GREY, "end"))
+        parts += [
+            f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{BOTTOM:g}"/>',
+            _text(at - 4, BOTTOM - 24 + 16 * number, graph.marks[mark], GREY, "end"),
+        ]
     for dots, color in graph.dots:
         path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in zip(*_places(axes, dots.T), strict=True))
         parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
@@ -204,16 +207,20 @@ def draw_rows(rows: Rows) -> str:
     step = (width - left) / len(rows.columns)
     for number, column in enumerate(rows.columns):
         edges = left + step * number + 16, left + step * (number + 1) - 18
-        parts.append(_text(0.5 * sum(edges), 13, column.head, LIGHT))
-        for value in [*column.axis.ticks, *column.lines]:
-            line = f"M{_n(float(column.axis.place(value, *edges)))} {HEAD:g}V{bottom:g}"
-            stroke = f'stroke-width="{1.5 if value in column.lines else 0.6:g}"'
-            parts.append(f'<path class="l soft grey" {stroke} d="{line}"/>')
         parts += [
-            _text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY)
-            for value, text in column.axis.ticks.items()
+            _text(0.5 * sum(edges), 13, column.head, LIGHT),
+            *(
+                '<path class="l soft grey" '
+                f'stroke-width="{1.5 if value in column.lines else 0.6:g}" '
+                f'd="M{_n(float(column.axis.place(value, *edges)))} {HEAD:g}V{bottom:g}"/>'
+                for value in [*column.axis.ticks, *column.lines]
+            ),
+            *(
+                _text(float(column.axis.place(value, *edges)), HEAD - 5, text, GREY)
+                for value, text in column.axis.ticks.items()
+            ),
+            *(_mark(mark, column.axis, edges) for mark in column.marks),
         ]
-        parts += [_mark(mark, column.axis, edges) for mark in column.marks]
     return _svg(rows.title, width, bottom + 4, parts)
 
 
@@ -254,16 +261,17 @@ def _svg(title: str, width: float, height: float, parts: Iterable[str]) -> str:
 
 def _grid(across: Axis, up: Axis) -> list[str]:
     """Lines and texts at the ticks."""
-    parts, lines = list[str](), ""
-    for value, text in up.ticks.items():
-        y = float(up.place(value, BOTTOM, TOP))
-        lines += f"M{LEFT:g} {_n(y)}H{RIGHT:g}"
-        parts.append(_text(LEFT - 6, y + 4, text, GREY, "end"))
-    for value, text in across.ticks.items():
-        x = float(across.place(value, LEFT, RIGHT))
-        lines += f"M{_n(x)} {TOP:g}V{BOTTOM:g}"
-        parts.append(_text(min(x, RIGHT - 4 * len(text)), HEIGHT - 6, text, GREY))
-    return [f'<path class="l soft grey" stroke-width="0.6" d="{lines}"/>', *parts]
+    ups = [(float(up.place(value, BOTTOM, TOP)), text) for value, text in up.ticks.items()]
+    rights = [(float(across.place(x, LEFT, RIGHT)), text) for x, text in across.ticks.items()]
+    lines = [
+        *(f"M{LEFT:g} {_n(y)}H{RIGHT:g}" for y, _ in ups),
+        *(f"M{_n(x)} {TOP:g}V{BOTTOM:g}" for x, _ in rights),
+    ]
+    return [
+        f'<path class="l soft grey" stroke-width="0.6" d="{"".join(lines)}"/>',
+        *(_text(LEFT - 6, y + 4, text, GREY, "end") for y, text in ups),
+        *(_text(min(x, RIGHT - 4 * len(text)), HEIGHT - 6, text, GREY) for x, text in rights),
+    ]
 
 
 def _places(axes: tuple[Axis, Axis], xy: Line | Array) -> Line:

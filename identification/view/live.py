@@ -63,8 +63,7 @@ def follow_recording(
     try:
         while not follower.ended:
             now_s = time.monotonic()
-            if follower.read():
-                grown_s = now_s
+            grown_s = now_s if follower.read() else grown_s
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
                 raise BadInputError(
@@ -180,9 +179,12 @@ class LivePage:
                 else {"from": (RED, ends[0]), "to": (RED, ends[1])}
                 for joint in robot.joints
             ],
+            **(
+                {}
+                if residual is None
+                else {"residual": [_band("band", ORANGE, half) for half in residual.band]}
+            ),
         }
-        if residual is not None:
-            self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
 
     def add(
         self, follower: RecordingFollower, *, stalled: bool, warn: Callable[[str], None]
@@ -232,9 +234,9 @@ class LivePage:
         if "reference" in (rows.dtype.names or ()):
             # As the guard: a drive reaches a target one period after it was sent.
             sent = rows["reference"]
-            first = sent[:1] if self._target is None else self._target
+            before = np.concatenate([sent[:1] if self._target is None else self._target, sent[:-1]])
             series |= {
-                "error": (stamps, [q - np.concatenate([first, sent[:-1]])]),
+                "error": (stamps, [q - before]),
                 "position": (stamps, [sent, q]),
             }
             self._target = sent[-1:]
@@ -280,9 +282,11 @@ class LivePage:
                     if name in ("effort", "residual")
                     else joint.position_unit
                 )
-                names, colors = [name], [RESIDUAL if name == "residual" else LIGHT]
-                if name == "position" and self._target is not None:
-                    names, colors = ["target", name], [REFERENCE, LIGHT]
+                names, colors = (
+                    (["target", name], [REFERENCE, LIGHT])
+                    if name == "position" and self._target is not None
+                    else ([name], [RESIDUAL if name == "residual" else LIGHT])
+                )
                 self._style(f"{name}/{j + 1}/measured", names, colors)
                 self._style(
                     f"{name}/{j + 1}/levels",

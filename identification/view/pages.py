@@ -33,11 +33,19 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     `column/<quantity>`, `events`, `health`, `report`.
     """
     label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
-    own, others = ParameterSet.of_file(fit, label), list[ParameterSet]()
-    if fit.least_squares:
-        others.append(ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares}))
-    if truth is not None and one is not None:
-        others.append(results.true_parameters(one.problem.base, truth))
+    own = ParameterSet.of_file(fit, label)
+    others = [
+        *(
+            [ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares})]
+            if fit.least_squares
+            else []
+        ),
+        *(
+            [results.true_parameters(one.problem.base, truth)]
+            if truth is not None and one is not None
+            else []
+        ),
+    ]
     document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
@@ -235,10 +243,8 @@ def _friction_page(
 ) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
     of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
-    if len(fits) == 1:
-        return Page(name="friction", groups={"friction": of_fits[0]})
     by_joint = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
-    return Page(name="friction", groups=by_joint)
+    return Page(name="friction", groups={"friction": of_fits[0]} if len(fits) == 1 else by_joint)
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:

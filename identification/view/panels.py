@@ -111,11 +111,15 @@ def linear(low: float, high: float, most: int) -> Axis:
 def logarithmic(low: float, high: float, most: int) -> Axis:
     """Between two ends above zero, with ticks at powers of ten."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
-    ticks = {
-        10.0**power: f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
-        for power in range(first, last + 1, max(1, math.ceil((last - first) / most)))
-    }
-    return Axis(low=low, high=high, ticks=ticks, by=lambda x: np.log10(np.maximum(x, low)))
+    return Axis(
+        low=low,
+        high=high,
+        ticks={
+            10.0**power: f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
+            for power in range(first, last + 1, max(1, math.ceil((last - first) / most)))
+        },
+        by=lambda x: np.log10(np.maximum(x, low)),
+    )
 
 
 def decades(values: ArrayLike, most: int) -> Axis:

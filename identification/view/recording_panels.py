@@ -38,10 +38,18 @@ def event_logs(signals: Signals) -> list[Log]:
         t_s = 1e-9 * (event.stamp_ns - signals.first_ns)
         at = min(max(t_s, 0.0), float(signals.t_s[-1]))
         where = "" if at == t_s else f" ({'before' if at == 0 else 'after'} the samples)"
-        text = f"{t_s:.3f} s  {event.kind}: {event.text}{where}"
-        lines.append((at, event.kind not in ROUTINE_EVENTS, text))
-    title = f"events: {len(signals.events)}"
-    return [Log(path=("events",), title=title, lines=lines)] if lines else []
+        lines.append(
+            (
+                at,
+                event.kind not in ROUTINE_EVENTS,
+                f"{t_s:.3f} s  {event.kind}: {event.text}{where}",
+            )
+        )
+    return (
+        [Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines)]
+        if lines
+        else []
+    )
 
 
 def health_plots(signals: Signals) -> list[Plot]:
@@ -61,8 +69,17 @@ def health_plots(signals: Signals) -> list[Plot]:
             )
         )
     faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
-    title = f"fault counters: {', '.join(faults)}"
-    return [Plot(path=("health",), title=title, curves=tuple(curves))] if faults else []
+    return (
+        [
+            Plot(
+                path=("health",),
+                title=f"fault counters: {', '.join(faults)}",
+                curves=tuple(curves),
+            )
+        ]
+        if faults
+        else []
+    )
 
 
 def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
@@ -75,27 +92,33 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
         return []
     low_pass = settings.cutoff_hz if settings else None
     decimation = 0.4 * fs / settings.decimation if settings and settings.decimation > 1 else None
-    positions = [joint.position_unit for joint in robot.joints]
     for key, x, units, name, cutoff in (
-        ("position", signals.q, positions, "low-pass", low_pass),
+        (
+            "position",
+            signals.q,
+            [joint.position_unit for joint in robot.joints],
+            "low-pass",
+            low_pass,
+        ),
         ("effort", signals.effort, robot.effort_units, "decimation", decimation),
     ):
         unit, curves = curves_of(
             {joint.name: _spectrum(x[start:stop, j], fs) for j, joint in enumerate(robot.joints)},
             [f"{unit}/√Hz" for unit in units],
         )
-        marks = (
-            {}
-            if signals.motion_hz is not None
-            else {robot.bandwidth_hz: f"bandwidth {robot.bandwidth_hz:g} Hz"}
-        )
-        marks |= {} if cutoff is None else {cutoff: f"{name} {cutoff:g} Hz"}
         charts.append(
             Graph(
                 path=("spectrum", key),
                 title=f"{key}{unit} over frequency [Hz]",
                 curves=tuple(curve for curve in curves if len(curve.line[0])),
-                marks=marks,
+                marks={
+                    **(
+                        {robot.bandwidth_hz: f"bandwidth {robot.bandwidth_hz:g} Hz"}
+                        if signals.motion_hz is None
+                        else {}
+                    ),
+                    **({} if cutoff is None else {cutoff: f"{name} {cutoff:g} Hz"}),
+                },
                 log=True,
             )
         )
@@ -201,8 +224,7 @@ def _friction_chart(friction: _Friction, j: int, of: str) -> Graph:
         ]
     shown = moving[:: max(1, len(moving) // MAX_DOTS)]
     own = friction_alone(friction.model, friction.columns, j, dq[shown], load[shown])
-    own *= friction.own[shown]
-    points = np.c_[dq[shown], own @ friction.beta + residual[shown]]
+    points = np.c_[dq[shown], (own * friction.own[shown]) @ friction.beta + residual[shown]]
     nearest = np.abs(load[shown, None] - loads).argmin(axis=1)
     for k, (color, _, name) in enumerate(looks):
         for speed in (-peak * SPEEDS, peak * SPEEDS) if peak > 0 else ():
@@ -229,7 +251,8 @@ def _friction_chart(friction: _Friction, j: int, of: str) -> Graph:
 
 def _friction_curve(friction: _Friction, j: int, speed: Array, load: float) -> Line:
     """Friction of joint j at speeds (k,) and a load, and half-widths of its 95 % interval."""
-    own = friction_alone(friction.model, friction.columns, j, speed, np.full(len(speed), load))
-    G = own * friction.share
+    G = friction.share * friction_alone(
+        friction.model, friction.columns, j, speed, np.full(len(speed), load)
+    )
     variance = np.sum((G @ friction.covariance) * G, axis=1)
     return G @ friction.beta, friction.reach * np.sqrt(np.maximum(variance, 0.0))

@@ -160,9 +160,8 @@ def _has_glyph(c: str) -> bool:
 
 
 def _replace_glyph(c: str) -> str:
-    if c == "ᵀ":
-        return "'"
-    return "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x)) or "?"
+    similar = "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
+    return "'" if c == "ᵀ" else similar or "?"
 
 
 def _time(t_s: Array) -> Any:
