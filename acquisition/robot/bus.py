@@ -15,7 +15,6 @@ from .toml import Positive, TomlTable, note, parse_toml
 
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
-PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
 _OBJECT = r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z"
 ObjectName = Annotated[str, msgspec.Meta(pattern=_OBJECT)]
 HomedName = Annotated[
@@ -52,7 +51,8 @@ class PdoFile(TomlTable, frozen=True):
         CanId | None, note("CAN identifier (default: the usual one of its number)")
     ] = None
     number: Annotated[
-        PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")
+        Annotated[int, msgspec.Meta(ge=1, le=512)] | None,
+        note("number of the PDO, from 1 (default: its place in the list)"),
     ] = None
 
 
@@ -293,12 +293,12 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     """A note if the ripple may be large and the effort of a drive is a torque demand."""
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
-    ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
-    text = (
+    if (ripple := demand_ripple(bandwidth_hz, bus.sync_period_s)) <= MAX_DEMAND_RIPPLE:
+        return ()
+    return (
         f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
-        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
+        "drives interpolate linearly: shorten sync_period_s, or record an averaged object",
     )
-    return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 
 class _Drives(msgspec.Struct):
@@ -314,13 +314,14 @@ def efforts_of_scan(text: bytes, place: str) -> tuple[str, ...]:
     object; empty where both are still to be filled in. Other keys may be missing or wrong.
     """
     usual = {f"{index:04X}": rule for (index, _), (_, rule, _) in EFFORT_OBJECTS.items()}
-    units = []
-    for drive in parse_toml(text, _Scanned, place).bus.drive:
+
+    def unit(drive: dict[str, Any]) -> str:
         word = "reference" if "reference" in drive else "actual"
         by_object = usual.get(str(drive.get(word)).upper().removesuffix(":0"), "")
         rule = RULES.get(str(drive.get(f"{word}_rule", by_object)))
-        units.append(rule.unit if rule else "")
-    return tuple(units)
+        return rule.unit if rule else ""
+
+    return tuple(map(unit, parse_toml(text, _Scanned, place).bus.drive))
 
 
 def parse_object(name: str) -> tuple[int, int]:

@@ -16,9 +16,6 @@ from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .friction import FrictionTerm
 from .toml import Name, Positive, TomlTable, note
 
-Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
-Matrix = tuple[tuple[float, ...], ...]
-
 
 class DH(TomlTable, frozen=True):
     """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d)
@@ -45,23 +42,27 @@ class Capsule(TomlTable, frozen=True):
     to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
-# of a joint
-QUANTITIES = (
-    "zero",
-    "position",
-    "speed",
-    "acceleration",
-    "following_error",
-    "stribeck_speed",
-    "effort",
-)
-
-
-def _key(quantity: str, kind: str) -> str:
-    if quantity == "effort":
-        return "effort_nm" if kind == "revolute" else "effort_n"
-    per = {"speed": "_s", "stribeck_speed": "_s", "acceleration": "_s2"}.get(quantity, "")
-    return f"{quantity}_{'deg' if kind == 'revolute' else 'm'}{per}"
+# of a joint, by its type and the quantity
+_KEYS = {
+    "revolute": {
+        "zero": "zero_deg",
+        "position": "position_deg",
+        "speed": "speed_deg_s",
+        "acceleration": "acceleration_deg_s2",
+        "following_error": "following_error_deg",
+        "stribeck_speed": "stribeck_speed_deg_s",
+        "effort": "effort_nm",
+    },
+    "prismatic": {
+        "zero": "zero_m",
+        "position": "position_m",
+        "speed": "speed_m_s",
+        "acceleration": "acceleration_m_s2",
+        "following_error": "following_error_m",
+        "stribeck_speed": "stribeck_speed_m_s",
+        "effort": "effort_n",
+    },
+}
 
 
 class Joint(TomlTable, frozen=True):
@@ -78,7 +79,8 @@ class Joint(TomlTable, frozen=True):
     coulomb: Annotated[bool | None, note("term of Coulomb friction (default: true)")] = None
     offset: Annotated[bool | None, note("term of a constant torque (default: false)")] = None
     friction: Annotated[
-        Friction, note("asymmetric: Fv and Fc by direction; or a list of all terms")
+        Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...],
+        note("asymmetric: Fv and Fc by direction; or a list of all terms"),
     ] = "symmetric"
     stribeck_speed_deg_s: Annotated[
         Positive | None,
@@ -121,11 +123,10 @@ class Joint(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
-        for quantity in QUANTITIES:
-            value = getattr(self, _key(quantity, other))
+        for quantity, key in _KEYS[other].items():
+            value = getattr(self, key)
             replacement = self.key(quantity) if quantity == "effort" else f"a key in {unit}"
-            expected = f"{replacement} for a {self.type} joint"
-            self.require(value is None, _key(quantity, other), value, expected)
+            self.require(value is None, key, value, f"{replacement} for a {self.type} joint")
         limits = getattr(self, self.key("position"))
         self.require(
             limits is None or limits[0] < limits[1],
@@ -168,18 +169,16 @@ class Joint(TomlTable, frozen=True):
 
     def key(self, quantity: str) -> str:
         """The key of a quantity of `si` in the file: `speed_deg_s`, `effort_n`."""
-        return _key(quantity, self.type)
+        return _KEYS[self.type][quantity]
 
     def si(self, quantity: str) -> Any:
-        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or
+        """A quantity of a joint in rad or m (per s, s²), `effort` in N m or
         N; None if not stated.
         """
         value = getattr(self, self.key(quantity))
-        if self.type == "prismatic" or quantity == "effort":
+        if self.type == "prismatic" or quantity == "effort" or value is None:
             return value
-        if isinstance(value, tuple):
-            return tuple(math.radians(v) for v in value)
-        return None if value is None else math.radians(value)
+        return tuple(map(math.radians, value)) if isinstance(value, tuple) else math.radians(value)
 
 
 class Motor(TomlTable, frozen=True):
@@ -275,7 +274,8 @@ class RobotFile(TomlTable, frozen=True):
         bool, note("recordings carry the meshes of the URDF's visual shapes")
     ] = False
     motor_matrix: Annotated[
-        Matrix | None, note("R, in place of ratios: motor speed = R · joint speed")
+        tuple[tuple[float, ...], ...] | None,
+        note("R, in place of ratios: motor speed = R · joint speed"),
     ] = None
     identification: Annotated[Identification, note("settings of a fit that replace the rules")] = (
         Identification()

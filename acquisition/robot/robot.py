@@ -194,8 +194,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     path = Path(path)
     place = Location(str(path))
     files = {"robot.toml": read_bytes(path)}
-    begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
-    text, way_out = _OTHER_FILES.get(begin, ("", ""))
+    text, way_out = _OTHER_FILES.get(
+        files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1], ("", "")
+    )
     place.require(not text, text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
@@ -275,9 +276,10 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
     f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
-        controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
         try:
-            f = msgspec.structs.replace(f, controller=controller)
+            f = msgspec.structs.replace(
+                f, controller=parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
+            )
         except InvalidValueError as refusal:
             at.refuse(*refusal.args)
     urdf = None
