@@ -175,9 +175,11 @@ def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
-    position, integral = 2 * w * velocity, w**2 * velocity
     return LoopGains(
-        position=position, velocity=velocity, integral=integral, position_share=np.ones(robot.n)
+        position=2 * w * velocity,
+        velocity=velocity,
+        integral=w**2 * velocity,
+        position_share=np.ones(robot.n),
     )
 
 
