@@ -157,8 +157,8 @@ def refusal(findings: list[Finding]) -> str:
     does.
     """
     recording, motion = verdicts(findings).values()
-    only = " for --track" if recording == "go" else ""
-    return "" if motion == "go" else motion.replace("no go", f"no go{only}", 1)
+    no_go = "no go for --track" if recording == "go" else "no go"
+    return "" if motion == "go" else motion.replace("no go", no_go, 1)
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -172,10 +172,13 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     findings = [finding for drive in bus.drives for finding in _of_drive(master, drive)]
     if len(findings) == len(bus.drives):  # the state alone: no drive has answered
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
-    findings.append(_jitter(master))
-    return findings + [
-        Finding("node ids", f"two devices answer as node {node}", ok=False)
-        for node in master.doubled  # while SYNC was measured, too
+    return [
+        *findings,
+        _jitter(master),
+        *(
+            Finding("node ids", f"two devices answer as node {node}", ok=False)
+            for node in master.doubled  # while SYNC was measured, too
+        ),
     ]
 
 
@@ -204,10 +207,9 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
             )
     except BusFaultError as error:
         yield Finding("objects", error.args[0], ok=False, node=node)
-    warnings = drive.dictionary.warnings if drive.dictionary else ()
     for name, text in (
         *supervision_of(master, drive),
-        *(("dictionary", text) for text in warnings),
+        *(("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())),
         *_scale(master, drive),
     ):
         yield Finding(name, text, node=node)
@@ -269,8 +271,8 @@ def _jitter(master: Master) -> Finding:
 def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     """Reported joint positions, and whether the drives are homed."""
     try:
-        words = position_words(robot, joint_positions(robot, master))
-        yield Finding("joint positions", f"{', '.join(words)}: check that the robot stands there")
+        words = ", ".join(position_words(robot, joint_positions(robot, master)))
+        yield Finding("joint positions", f"{words}: check that the robot stands there")
         for drive in master.bus.drives:
             homed = is_homed(master, drive)
             text = (

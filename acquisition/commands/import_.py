@@ -157,15 +157,14 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         ),
         *(f"with {name.replace('_', ' ')}" for name in ("reference", *OPTIONAL) if name in fields),
     ]
-    print(one_line(", ".join(parts)))
-    for name, text in (
-        ("topic", found.topic),
-        ("times", found.times),
-        ("rows", about["rows"]),
-        ("reference", recording.metadata.get("reference", "")),
-    ):
-        if text:
-            print(one_line(f"{name}: {text}"))
+    more = {
+        "topic": found.topic,
+        "times": found.times,
+        "rows": about["rows"],
+        "reference": recording.metadata.get("reference", ""),
+    }
+    lines = [", ".join(parts), *(f"{name}: {text}" for name, text in more.items() if text)]
+    print(*map(one_line, lines), sep="\n")
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 

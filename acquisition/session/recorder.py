@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -154,24 +155,24 @@ class Recorder:
         return status
 
     def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
-        last = self._status
-        low, high, losses = last.lowest, last.highest, last.losses
+        last, found = self._status, dict[str, Any]()
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 recent, self._bus = recording.resolve_mapped(recent, self._robot, self._place)
             decoded = recording.decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
-            low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
-            high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
-            losses = {word: n + int(decoded.counters[word]) for word, n in losses.items()}
-        return Status(
+            found = {
+                "lowest": tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist()),
+                "highest": tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist()),
+                "losses": {k: n + int(decoded.counters[k]) for k, n in last.losses.items()},
+            }
+        return replace(
+            last,
             frames=last.frames + len(recent),
             rate_hz=len(recent) / max(elapsed_s, 1e-3),
             drops=drops,
-            losses=losses,
-            lowest=low,
-            highest=high,
             ends=self._ends,
+            **found,
         )
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
@@ -236,13 +237,16 @@ def write_decoded(
 
 def _table(bus: Bus) -> dict[str, str]:
     """PDO table and raw rated values, for the metadata."""
-    pdos = [
-        f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"
-        for d in bus.drives
-        for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
-        for p in found
-    ]
-    rated = [
-        f"node {d.node} {index:04X} = {raw}" for d in bus.drives for index, raw in d.rated.items()
-    ]
-    return {"pdo_table": "; ".join(pdos), "rated_raw": "; ".join(rated)}
+    return {
+        "pdo_table": "; ".join(
+            f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"
+            for d in bus.drives
+            for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
+            for p in found
+        ),
+        "rated_raw": "; ".join(
+            f"node {d.node} {index:04X} = {raw}"
+            for d in bus.drives
+            for index, raw in d.rated.items()
+        ),
+    }

@@ -145,12 +145,9 @@ def record(
 def _left_shown(task: Task, period_s: float, started_ns: int, operator: UserInterface) -> OnStatus:
     """Show each status with the seconds that are left of the task."""
     whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
-
-    def show(status: Status, now_ns: int) -> None:
-        left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
-        operator.show(status, left_s)
-
-    return show
+    return lambda status, now_ns: operator.show(
+        status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
+    )
 
 
 def _task_of(
@@ -237,16 +234,15 @@ def _before_motion(
         refuse_unsupervised(master)
     confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
     jitter = refuse_jitter(master)
-    marks = [
+    slower = f"{options.track} at {options.speed:g} of its speed"
+    no_stop = f"second stop: {second_stop(master.bus.file)}"
+    return [
         f"confirmed: {', '.join(confirmed)}",
         f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
         "motion",
+        *([slower] if options.speed != 1 else []),
+        *([no_stop] if master.bus.file.interface not in SHARED else []),
     ]
-    if options.speed != 1:
-        marks.append(f"{options.track} at {options.speed:g} of its speed")
-    if master.bus.file.interface not in SHARED:
-        marks.append(f"second stop: {second_stop(master.bus.file)}")
-    return marks
 
 
 def _listen(
@@ -275,8 +271,7 @@ def _listen(
                     operator.show(
                         status, None if task.duration_s is None else task.duration_s - elapsed_s
                     )
-                    stop.reason = stop.reason or status.ends
-                    cut_short = bool(status.ends)
+                    stop.reason, cut_short = stop.reason or status.ends, bool(status.ends)
                 time.sleep(0.02)
         except RobotIdimError as error:
             with suppress(RobotIdimError):

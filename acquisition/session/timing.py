@@ -109,8 +109,7 @@ def real_time_scheduling() -> Iterator[dict[str, float]]:
     """Real-time scheduling, locked memory, no garbage collection inside the block where permitted;
     yields what was granted, as counters of `/health`.
     """
-    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
-    collected = gc.isenabled()
+    policy, parameter, collected = os.sched_getscheduler(0), os.sched_getparam(0), gc.isenabled()
     gc.collect()
     gc.disable()
     # With a limit of locked memory, allocations beyond it would fail in the middle of a session.
