@@ -121,24 +121,32 @@ class DriveFile(TomlTable, frozen=True):
     ] = ()
 
     def __post_init__(self) -> None:
-        for name, kind in self.objects.items():
-            self.require(kind in BITS, f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
-        self.require(
-            self.reference is not None or self.actual is not None,
-            "reference",
-            None,
-            "the object of the current or torque reference, or actual for its value",
+        words = {key: getattr(self, key) for key in _WORDS}
+        self.require_all(
+            *(
+                (kind in BITS, f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
+                for name, kind in self.objects.items()
+            ),
+            (
+                self.reference is not None or self.actual is not None,
+                "reference",
+                None,
+                "the object of the current or torque reference, or actual for its value",
+            ),
+            *(
+                (
+                    re.fullmatch(_OBJECT, name),
+                    f"extra[{k}]",
+                    name,
+                    "an object, such as 606C or 2081:1",
+                )
+                for k, name in enumerate(self.extra_objects)
+            ),
+            *(
+                (word is None or word in _WORDS[key], key, word, f"one of {', '.join(_WORDS[key])}")
+                for key, word in words.items()
+            ),
         )
-        for k, name in enumerate(self.extra_objects):
-            self.require(
-                re.fullmatch(_OBJECT, name),
-                f"extra[{k}]",
-                name,
-                "an object, such as 606C or 2081:1",
-            )
-        for key, known in _WORDS.items():
-            word = getattr(self, key)
-            self.require(word is None or word in known, key, word, f"one of {', '.join(known)}")
         for key in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
             unit = self.rated_current_unit if key == "rated_current_a" else self.rated_torque_unit
             value, most = getattr(self, key), (2**32 - 1) * RATED_UNITS[unit]
@@ -148,23 +156,25 @@ class DriveFile(TomlTable, frozen=True):
                 value,
                 f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}",
             )
-        self.require(
-            (self.counts_per_turn is None) != (self.counts_per_m is None),
-            "counts_per_turn",
-            self.counts_per_turn,
-            "counts_per_turn or counts_per_m, one of the two",
-        )
-        self.require(
-            self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
-            "dictionary",
-            self.dictionary,
-            "the name of a file in the folder of robot.toml",
-        )
-        self.require(
-            self.mapping != "dictionary" or self.dictionary is not None,
-            "mapping",
-            self.mapping,
-            "a dictionary (EDS or DCF) that holds the mapping",
+        self.require_all(
+            (
+                (self.counts_per_turn is None) != (self.counts_per_m is None),
+                "counts_per_turn",
+                self.counts_per_turn,
+                "counts_per_turn or counts_per_m, one of the two",
+            ),
+            (
+                self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
+                "dictionary",
+                self.dictionary,
+                "the name of a file in the folder of robot.toml",
+            ),
+            (
+                self.mapping != "dictionary" or self.dictionary is not None,
+                "mapping",
+                self.mapping,
+                "a dictionary (EDS or DCF) that holds the mapping",
+            ),
         )
 
     @property
@@ -245,33 +255,35 @@ class BusFile(TomlTable, frozen=True):
     ] = "unknown"
 
     def __post_init__(self) -> None:
-        self.require(
-            self.bitrate in BITRATES,
-            "bitrate",
-            self.bitrate,
-            f"one of {', '.join(map(str, BITRATES))}",
+        nodes, period_s = [drive.node for drive in self.drive], self.sync_period_s
+        self.require_all(
+            (
+                self.bitrate in BITRATES,
+                "bitrate",
+                self.bitrate,
+                f"one of {', '.join(map(str, BITRATES))}",
+            ),
+            (1e-4 <= period_s <= 1.0, "sync_period_s", period_s, "0.0001 to 1"),
+            (
+                self.master_node not in nodes,
+                "master_node",
+                self.master_node,
+                "a node id that no drive has",
+            ),
+            *(
+                (
+                    node not in (*nodes, self.master_node),
+                    "other_nodes",
+                    node,
+                    "node ids that neither a drive nor master_node has",
+                )
+                for node in self.other_nodes
+            ),
+            *(
+                (node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before")
+                for i, node in enumerate(nodes)
+            ),
         )
-        self.require(
-            1e-4 <= self.sync_period_s <= 1.0, "sync_period_s", self.sync_period_s, "0.0001 to 1"
-        )
-        nodes = [drive.node for drive in self.drive]
-        self.require(
-            self.master_node not in nodes,
-            "master_node",
-            self.master_node,
-            "a node id that no drive has",
-        )
-        for node in self.other_nodes:
-            self.require(
-                node not in (*nodes, self.master_node),
-                "other_nodes",
-                node,
-                "node ids that neither a drive nor master_node has",
-            )
-        for i, node in enumerate(nodes):
-            self.require(
-                node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before"
-            )
 
     @property
     def mapped_by_traffic(self) -> bool:

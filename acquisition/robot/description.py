@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
-from .fit_tables import GAINS, Controller, Identification, PayloadFile
+from .fit_tables import Controller, Identification, PayloadFile
 from .friction import FrictionTerm
 from .toml import Name, Positive, TomlTable, note
 
@@ -135,15 +135,17 @@ class Joint(TomlTable, frozen=True):
             "[lowest, highest]",
         )
         if isinstance(self.friction, tuple):
-            for term in self.friction:
-                self.require(self.friction.count(term) <= 1, "friction", term, "each term once")
-            for name in ("viscous", "coulomb", "offset"):
-                self.require(
-                    getattr(self, name) is None,
-                    name,
-                    getattr(self, name),
-                    "no such key with a list of terms in friction",
-                )
+            given = {name: getattr(self, name) for name in ("viscous", "coulomb", "offset")}
+            self.require_all(
+                *(
+                    (self.friction.count(term) <= 1, "friction", term, "each term once")
+                    for term in self.friction
+                ),
+                *(
+                    (stated is None, name, stated, "no such key with a list of terms in friction")
+                    for name, stated in given.items()
+                ),
+            )
 
     @cached_property
     def position_unit(self) -> str:
@@ -209,29 +211,31 @@ class Motor(TomlTable, frozen=True):
     ] = None
 
     def __post_init__(self) -> None:
-        self.require(
-            (self.drive_gain is None) == (self.drive_gain_unit is None),
-            "drive_gain",
-            self.drive_gain,
-            "drive_gain and drive_gain_unit together, or neither",
-        )
-        self.require(
-            self.drive_gain is None or self.drive_gain > 0,
-            "drive_gain",
-            self.drive_gain,
-            "a positive number (signs belong to ratio or motor_matrix)",
-        )
-        self.require(
-            self.drive_gain_unit is not None or self.effort_unit is not None,
-            "effort_unit",
-            None,
-            "effort_unit (A, V, N m, N or %) where no drive gain is given",
-        )
-        self.require(
-            self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
-            "effort_unit",
-            self.effort_unit,
-            f"{self.recorded_unit!r}, as drive_gain_unit says",
+        self.require_all(
+            (
+                (self.drive_gain is None) == (self.drive_gain_unit is None),
+                "drive_gain",
+                self.drive_gain,
+                "drive_gain and drive_gain_unit together, or neither",
+            ),
+            (
+                self.drive_gain is None or self.drive_gain > 0,
+                "drive_gain",
+                self.drive_gain,
+                "a positive number (signs belong to ratio or motor_matrix)",
+            ),
+            (
+                self.drive_gain_unit is not None or self.effort_unit is not None,
+                "effort_unit",
+                None,
+                "effort_unit (A, V, N m, N or %) where no drive gain is given",
+            ),
+            (
+                self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
+                "effort_unit",
+                self.effort_unit,
+                f"{self.recorded_unit!r}, as drive_gain_unit says",
+            ),
         )
 
     @cached_property
@@ -244,11 +248,8 @@ class Motor(TomlTable, frozen=True):
         """Motor torque or force per unit of recorded effort; 1 if recorded as torque or
         force; None if unknown.
         """
-        return (
-            1.0
-            if self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
-            else self.drive_gain
-        )
+        is_torque = self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
+        return 1.0 if is_torque else self.drive_gain
 
 
 class RobotFile(TomlTable, frozen=True):
@@ -296,69 +297,72 @@ class RobotFile(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         n = len(self.joint)
-        self.require(
-            len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"
-        )
         drives = n if self.bus is None else len(self.bus.drive)
-        self.require(drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}")
-        self.require(
-            not self.urdf_meshes or self.urdf is not None,
-            "urdf_meshes",
-            True,
-            "a urdf that refers to them",
+        names = {"joint": [j.name for j in self.joint], "motor": [m.name for m in self.motor]}
+        self.require_all(
+            (len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"),
+            (drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}"),
+            (
+                not self.urdf_meshes or self.urdf is not None,
+                "urdf_meshes",
+                True,
+                "a urdf that refers to them",
+            ),
+            (
+                self.payload.frame is None or self.urdf is not None,
+                "payload.frame",
+                self.payload.frame,
+                "a urdf with this link",
+            ),
+            *(
+                (name not in named[:i], f"{kind}[{i}].name", name, "a name not used before")
+                for kind, named in names.items()
+                for i, name in enumerate(named)
+            ),
         )
-        self.require(
-            self.payload.frame is None or self.urdf is not None,
-            "payload.frame",
-            self.payload.frame,
-            "a urdf with this link",
-        )
-        for kind, names in (
-            ("joint", [j.name for j in self.joint]),
-            ("motor", [m.name for m in self.motor]),
-        ):
-            for i, name in enumerate(names):
-                self.require(
-                    name not in names[:i], f"{kind}[{i}].name", name, "a name not used before"
-                )
         for i, joint in enumerate(self.joint):
-            self.require(
-                (joint.dh is None) != (self.urdf is None),
-                f"joint[{i}].dh",
-                joint.dh,
-                "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
-            )
-            # Not checked in the joint: one whose terms are chosen for a fit may
-            # still state the speed.
+            # Not in the joint: one whose terms are chosen for a fit may still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
-            self.require(
-                "stribeck" not in joint.terms or speed is not None,
-                key,
-                None,
-                "the speed at which Stribeck friction has decreased to 37 %",
-            )
-            self.require(
-                "stribeck" in joint.terms or speed is None,
-                key,
-                speed,
-                'the term "stribeck" in friction with it',
+            self.require_all(
+                (
+                    (joint.dh is None) != (self.urdf is None),
+                    f"joint[{i}].dh",
+                    joint.dh,
+                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
+                ),
+                (
+                    "stribeck" not in joint.terms or speed is not None,
+                    key,
+                    None,
+                    "the speed at which Stribeck friction has decreased to 37 %",
+                ),
+                (
+                    "stribeck" in joint.terms or speed is None,
+                    key,
+                    speed,
+                    'the term "stribeck" in friction with it',
+                ),
             )
         self._check_motors(n)
 
     def _check_motors(self, n: int) -> None:
-        for i, motor in enumerate(self.motor):
-            self.require(
-                motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
-                f"motor[{i}].ratio",
-                motor.ratio,
-                "a non-zero ratio, or motor_matrix for the whole robot, not both",
-            )
         unknown = [m.name for m in self.motor if m.gain is None]
-        self.require(
-            not 0 < len(unknown) < n,
-            "motor.drive_gain",
-            None,
-            f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+        self.require_all(
+            *(
+                (
+                    motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
+                    f"motor[{i}].ratio",
+                    motor.ratio,
+                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
+                )
+                for i, motor in enumerate(self.motor)
+            ),
+            (
+                not 0 < len(unknown) < n,
+                "motor.drive_gain",
+                None,
+                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+            ),
         )
         if self.motor_matrix is not None:
             self.require(
@@ -367,22 +371,25 @@ class RobotFile(TomlTable, frozen=True):
                 [len(row) for row in self.motor_matrix],
                 f"{n} rows of {n} numbers",
             )
-            self.require(
-                np.linalg.matrix_rank(np.array(self.motor_matrix)) >= n,
-                "motor_matrix",
-                self.motor_matrix,
-                "an invertible matrix",
-            )
-            for i, row in enumerate(self.motor_matrix):
+            self.require_all(
+                (
+                    np.linalg.matrix_rank(np.array(self.motor_matrix)) >= n,
+                    "motor_matrix",
+                    self.motor_matrix,
+                    "an invertible matrix",
+                ),
                 # names such as Ia2 and gains are by joint, so each joint needs its own motor
-                self.require(
-                    row[i] != 0,
-                    f"motor_matrix[{i}]",
-                    list(row),
-                    f"motor {i + 1} to turn joint {i + 1}: order the motors so",
-                )
-        for name in GAINS:
-            gains = getattr(self.controller, name)
+                *(
+                    (
+                        row[i] != 0,
+                        f"motor_matrix[{i}]",
+                        list(row),
+                        f"motor {i + 1} to turn joint {i + 1}: order the motors so",
+                    )
+                    for i, row in enumerate(self.motor_matrix)
+                ),
+            )
+        for name, gains in self.controller.gains.items():
             self.require(
                 gains is None or len(gains) == n,
                 f"controller.{name}",

@@ -54,20 +54,23 @@ class Controller(TomlTable, frozen=True):
     ] = False
 
     def __post_init__(self) -> None:
-        self.require(
-            not self.gravity_feedforward or self.structure not in (None, "computed_torque"),
-            "gravity_feedforward",
-            True,
-            "a structure that has no gravity by itself",
+        self.require_all(
+            (
+                not self.gravity_feedforward or self.structure not in (None, "computed_torque"),
+                "gravity_feedforward",
+                True,
+                "a structure that has no gravity by itself",
+            ),
+            *(
+                (all(g > 0 for g in gains or ()), name, gains and list(gains), "positive numbers")
+                for name, gains in self.gains.items()
+            ),
         )
-        for name in GAINS:
-            gains = getattr(self, name)
-            self.require(
-                gains is None or all(g > 0 for g in gains),
-                name,
-                gains and list(gains),
-                "positive numbers",
-            )
+
+    @property
+    def gains(self) -> dict[str, Gains]:
+        """The gains by name; None where one is not stated."""
+        return {name: getattr(self, name) for name in GAINS}
 
 
 class LowSpeed(TomlTable, frozen=True):

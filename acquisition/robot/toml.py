@@ -43,6 +43,11 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if not holds:
             raise InvalidValueError(key, value, expected)
 
+    def require_all(self, *rules: tuple[object, str, object, str]) -> None:
+        """Require several conditions, in order: each with key, value and what is expected."""
+        for rule in rules:
+            self.require(*rule)
+
 
 class InvalidValueError(ValueError):
     """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds
