@@ -71,11 +71,10 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
         yield _interpolation(master, drive)
         # with its display: a session waits until that follows
         mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
-        answers = _ask(master, drive, (mode, 0), (display, 0))
         yield _values(
             drive,
             f"mode and display {mode:04X} {display:04X}",
-            answers,
+            _ask(master, drive, (mode, 0), (display, 0)),
             {(mode, 0): cia.Mode.CYCLIC_SYNCHRONOUS_POSITION},
         )
         yield from _limits(master, drive)
@@ -195,11 +194,14 @@ def _values(
     drive: Drive, name: str, answers: Answers, wanted: dict[cia.Key, int], unit: str = ""
 ) -> Need:
     """Objects that have to have the raw values `wanted` before motion."""
-    writes = [
-        (*key, value, drive.size_of(*key)) for key, value in wanted.items() if answers[key] != value
-    ]
-    shown = " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values())
-    return _need(drive, name, answers, writes, shown + unit)
+    differ = {key: value for key, value in wanted.items() if answers[key] != value}
+    return _need(
+        drive,
+        name,
+        answers,
+        [(*key, value, drive.size_of(*key)) for key, value in differ.items()],
+        " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values()) + unit,
+    )
 
 
 def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:

@@ -187,10 +187,9 @@ class Master:
         Values received before are discarded, so that no old position is taken for a new one.
         """
         for watch in self.nodes:
-            watch.statusword, watch.counts = None, None
-            watch.answers, watch.silent_syncs = 0, 0
-            watch.booted, watch.emergency, watch.nmt = False, None, None
-            watch.started, watch.unstarted = False, 0
+            watch.statusword = watch.counts = watch.emergency = watch.nmt = None
+            watch.answers = watch.silent_syncs = watch.unstarted = 0
+            watch.booted = watch.started = False
             self.nmt(START, watch.drive.node)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()

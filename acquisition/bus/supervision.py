@@ -161,21 +161,21 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
         read_if_there(master, drive, ERROR_BEHAVIOUR, 1),
         read_if_there(master, drive, RPDO_PARAMETERS, 5),
     )
-    behaves = (
-        f"{NOT_THERE}: pre-operational (CiA 301)"
-        if behaviour is None
-        else _in_words(ERROR_BEHAVIOUR, behaviour)
-    )
-    missed = (
-        f"{timer}: an error after {timer} ms without the PDO"
-        if timer
-        else f"{NOT_THERE if timer is None else 0}: a missing PDO to the drive has no effect"
-    )
     return [
         _consumers(master, drive),
         _option(master, drive, cia.ABORT_CONNECTION, "reaction"),
-        (f"communication error {ERROR_BEHAVIOUR:04X}:1", behaves),
-        (f"missing targets {RPDO_PARAMETERS:04X}:5", missed),
+        (
+            f"communication error {ERROR_BEHAVIOUR:04X}:1",
+            f"{NOT_THERE}: pre-operational (CiA 301)"
+            if behaviour is None
+            else _in_words(ERROR_BEHAVIOUR, behaviour),
+        ),
+        (
+            f"missing targets {RPDO_PARAMETERS:04X}:5",
+            f"{timer}: an error after {timer} ms without the PDO"
+            if timer
+            else f"{NOT_THERE if timer is None else 0}: a missing PDO to the drive has no effect",
+        ),
         *(_option(master, drive, index, name) for index, name in _STOPS.items()),
         _following_error(master, drive),
     ]
@@ -243,10 +243,10 @@ def second_stop(file: BusFile) -> str:
     """Whether the recorder's process can stop the drives when the session's
     process dies or hangs.
     """
-    if file.interface in SHARED:
-        return "the recorder's process stops the drives of a tracking session that dies or hangs"
     return (
-        f"none: {file.interface} opens once only: if the session dies or hangs, only the "
+        "the recorder's process stops the drives of a tracking session that dies or hangs"
+        if file.interface in SHARED
+        else f"none: {file.interface} opens once only: if the session dies or hangs, only the "
         "drives' own supervision stops them"
     )
 

@@ -167,8 +167,8 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        text = f"{other}; states, needs of a session, supervision, scales and SYNC are not checked"
-        return [Finding(OTHER_NODES, text, ok=False)]
+        unread = "states, needs of a session, supervision, scales and SYNC are not checked"
+        return [Finding(OTHER_NODES, f"{other}; {unread}", ok=False)]
     findings = [finding for drive in bus.drives for finding in _of_drive(master, drive)]
     if len(findings) == len(bus.drives):  # the state alone: no drive has answered
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
@@ -275,11 +275,14 @@ def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
         yield Finding("joint positions", f"{words}: check that the robot stands there")
         for drive in master.bus.drives:
             homed = is_homed(master, drive)
-            text = (
+            yield Finding(
+                "homed",
                 "not described: the drive's zero may be its position at power-on"
                 if homed is None
-                else f"{'yes' if homed else 'NO'} ({drive.file.homed})"
+                else f"{'yes' if homed else 'NO'} ({drive.file.homed})",
+                ok=homed is not False,
+                node=drive.node,
+                track=True,
             )
-            yield Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
     except BusFaultError as error:
         yield Finding("joint positions", error.args[0], ok=False)

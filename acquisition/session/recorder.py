@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import recording
-from ..errors import BadInputError
+from ..errors import BadInputError, Location
 from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
@@ -58,12 +58,11 @@ def refuse_taken(path: Path) -> None:
     cannot be written.
     """
     taken = path.exists()
-    if taken or not os.access(f"{path.absolute().parent}/", os.W_OK):
-        raise BadInputError(
-            "already exists" if taken else "cannot be written",
-            place=str(path),
-            expected="a new name in a folder that is there; recordings are not replaced",
-        )
+    Location(str(path)).require(
+        not taken and os.access(f"{path.absolute().parent}/", os.W_OK),
+        text="already exists" if taken else "cannot be written",
+        expected="a new name in a folder that is there; recordings are not replaced",
+    )
 
 
 class Recorder:

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ..arrays import Array, Bools
-from ..errors import BadInputError, Location
+from ..errors import Location
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
@@ -121,8 +121,9 @@ class TablePlant:
     """Replays joint samples, one row per period; the drives' loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
-        if len(samples) == 0:
-            raise BadInputError("the table to replay holds no samples", expected="some")
+        Location("").require(
+            len(samples), text="the table to replay holds no samples", expected="some"
+        )
         self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
 
     @property

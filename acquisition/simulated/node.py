@@ -182,12 +182,11 @@ class SimulatedNode:
         return ""
 
     def _map(self) -> None:
-        place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
         self.tpdos, self.rpdos = (
             tuple(
                 pdo
-                for pdo in cia.pdos_of(way, self.values, known, place)
+                for pdo in cia.pdos_of(way, self.values, known, f"node {self.drive.node}")
                 if pdo.bits <= cia.MAX_PDO_BITS and pdo.can_id < 0x800
             )
             for way in cia.PARAMETERS
