@@ -221,8 +221,8 @@ class Master:
             self._sized |= {node} if answer.kind == "value" else set()
         elif node not in self._sized and (node in self.by_node or not answer.stated):
             watch = self.by_node.get(node)
-            size = watch.drive.size_of(index, sub) if watch else cia.size_of(index, sub)
-            return replace(answer, data=answer.data[:size])
+            size_of = watch.drive.size_of if watch else cia.size_of
+            return replace(answer, data=answer.data[: size_of(index, sub)])
         return answer
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:

@@ -123,8 +123,9 @@ class WallClock:
         offset_ns: int | None = None,  # between the clocks when a session began; None: now
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
-        self._begin_ns = wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
-        self._offset_ns = self._begin_ns
+        self._begin_ns = self._offset_ns = (
+            wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
+        )
         self._last_ns: int | None = None  # latest stamp, uncorrected
         # a step not yet seen in the stamps, and for how many blocks
         self._pending_ns, self._waited = 0, 0

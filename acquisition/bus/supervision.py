@@ -257,9 +257,11 @@ def _consumers(master: Master, drive: Drive) -> Property:
         entries = heartbeat_consumers(master, drive.node)
     except (NoAnswerError, SdoAbortedError):
         return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
-    used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
+    used = ", ".join(
+        f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF
+    )
     sub = free_entry(entries, file.master_node)
-    return name, (", ".join(used) or "none in use") + (
+    return name, (used or "none in use") + (
         ": no free sub-index: the drive does not detect the loss of the master"
         if sub is None
         else f"; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "

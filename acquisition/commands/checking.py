@@ -73,7 +73,12 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     handle = open_bus(bus.file, passive=False)
     with closing(Link(handle)) as link:
         findings = [
-            _load(bus),
+            Finding(
+                "bus load",
+                f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
+                f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
+                ok=bus.load <= MAX_LOAD,
+            ),
             Finding("second stop", second_stop(bus.file)),
             *(
                 Finding("effort", text)
@@ -241,15 +246,6 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
         "they agree"
     )
     return [("scale", ", ".join([*values, text]))] if values else []
-
-
-def _load(bus: Bus) -> Finding:
-    return Finding(
-        "bus load",
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
-        f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
-        ok=bus.load <= MAX_LOAD,
-    )
 
 
 def _jitter(master: Master) -> Finding:

@@ -181,13 +181,12 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
     """Rate, losses (true if there are any), range of each joint so far, time left."""
     losses = {"dropped": status.drops, **{k: status.losses[k] for k in ("missing", "late")}}
-    ranges = zip(robot.joints, status.lowest, status.highest, strict=False)
     return [
         (f"{status.rate_hz:.0f} frames/s", False),
         *((f", {count} {name}", bool(count)) for name, count in losses.items()),
         *(
             (f", {j.name} {low:.3f}..{high:.3f} {j.position_unit}", False)
-            for j, low, high in ranges
+            for j, low, high in zip(robot.joints, status.lowest, status.highest, strict=False)
         ),
         *([] if left_s is None else [(f", {left_s:.0f} s left", False)]),
     ]

@@ -192,13 +192,12 @@ def error_frame_words(can_id: int, data: bytes) -> str:
         0x010: [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
         + (["CAN_L short to CAN_H"] if data[4] & 0xF0 == _SHORT_TO_EACH_OTHER else []),
     }
+    counted = f"{data[6]} transmit errors and {data[7]} receive errors counted"
     parts = [
         f"{words}: {', '.join(details[bit])}" if details.get(bit) else words
-        for bit, words in _CLASSES.items()
+        for bit, words in (_CLASSES | {_COUNTERS: counted}).items()
         if can_id & bit
     ]
-    if can_id & _COUNTERS:
-        parts.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
 
 

@@ -109,8 +109,7 @@ class Recorder:
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
-        self._fd_frames = 0
-        self._ends, self._is_empty = "", True
+        self._fd_frames, self._ends, self._is_empty = 0, "", True
 
     def add(self, block: recording.Block) -> None:
         """Write frames in the order of reception; programs that follow the file see them at once.
@@ -179,8 +178,8 @@ class Recorder:
         self._writer.flush()
         self._watch_file()
         # by its descriptor, as the file may have been renamed
-        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}")).frames
-        frames = written.get(self.channel, np.zeros(0, recording.FRAME))
+        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}"))
+        frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"

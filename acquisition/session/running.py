@@ -234,14 +234,16 @@ def _before_motion(
         refuse_unsupervised(master)
     confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
     jitter = refuse_jitter(master)
-    slower = f"{options.track} at {options.speed:g} of its speed"
-    no_stop = f"second stop: {second_stop(master.bus.file)}"
     return [
         f"confirmed: {', '.join(confirmed)}",
         f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
         "motion",
-        *([slower] if options.speed != 1 else []),
-        *([no_stop] if master.bus.file.interface not in SHARED else []),
+        *([f"{options.track} at {options.speed:g} of its speed"] if options.speed != 1 else []),
+        *(
+            [f"second stop: {second_stop(master.bus.file)}"]
+            if master.bus.file.interface not in SHARED
+            else []
+        ),
     ]
 
 
@@ -340,12 +342,12 @@ def replay(
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
-                sent = f"{count} frames were" if count else "nothing was"
                 raise RefusedError(
                     f"{service_of(frame, described.sync_can_id)} received",
                     what="sending",
                     place=f"{file.interface} {file.channel}",
-                    expected=f"an idle bus; {sent} sent",
+                    expected="an idle bus; "
+                    f"{f'{count} frames were' if count else 'nothing was'} sent",
                 )
             if left_s <= 0:
                 return

@@ -39,8 +39,7 @@ class Pace:
         file = master.bus.file
         self._master, self._link, self._period_ns = master, master.link, master.bus.period_ns
         self._ours = file.sync_producer == "recorder"
-        self._latest_ns = round(largest_delay_s(file) * 1e9)
-        self.next_ns = 0
+        self._latest_ns, self.next_ns = round(largest_delay_s(file) * 1e9), 0
 
     def start(self) -> None:
         """Schedule the first SYNC one period from now."""

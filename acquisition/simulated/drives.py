@@ -64,9 +64,8 @@ class SimulatedDrives:
             for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or driven_plant(robot, bus)
-        self.bus, self.plant = bus, mechanism.plant
-        self._robot, self._loops = robot, mechanism.loops
-        self._period_s = bus.file.sync_period_s
+        self.bus, self.plant, self._loops = bus, mechanism.plant, mechanism.loops
+        self._robot, self._period_s = robot, bus.file.sync_period_s
         codecs = [drive.position_codec for drive in bus.drives]
         self._positions = cia.PositionCodec(
             counts_per_unit=np.array([c.counts_per_unit for c in codecs]),
