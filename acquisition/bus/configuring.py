@@ -217,16 +217,15 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
     stated, on_sync = answers[can_id], answers[kind] == cia.ON_SYNC
     no_remote = stated & cia.NO_REMOTE if isinstance(stated, int) else 0
     is_right = is_mapped and on_sync and stated == pdo.can_id | no_remote
-    writes = [
-        write
-        for write in cia.configuration(way, pdo, no_remote)
-        if not (is_right or (is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
-    ]
     return _need(
         drive,
         f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}",
         answers,
-        writes,
+        [
+            write
+            for write in ([] if is_right else cia.configuration(way, pdo, no_remote))
+            if not ((is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
+        ],
         "as described" if is_right else "differs",
         track=way == "rpdo",
     )
@@ -268,8 +267,9 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
             answers, wanted = _ask(master, drive, key), form.format(number)
             need = _need(drive, f"{name} {_name(key)}", answers, (), wanted, track=False)
             if not need.refusal and answers[key] != number:
-                refusal = f"{form.format(answers[key])}: expected {wanted} as {source} says"
-                need = replace(need, refusal=refusal)
+                need = replace(
+                    need, refusal=f"{form.format(answers[key])}: expected {wanted} as {source} says"
+                )
             yield need
 
 

@@ -122,8 +122,8 @@ def table(findings: list[Finding]) -> list[str]:
     """One line per finding, shared by drives with the same one: mark, property, nodes, value."""
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
-        same = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
-        same += [] if finding.node is None else [str(finding.node)]
+        key = (finding.subject, one_line(finding.found), finding.ok)
+        nodes.setdefault(key, []).extend([] if finding.node is None else [str(finding.node)])
     # different drives stand below each other
     order = list(dict.fromkeys(subject for subject, _, _ in nodes))
     rows = sorted(
@@ -199,8 +199,8 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     # A recording leaves a drive in fault as it is; motion begins with its reset.
     fault, disabled = state is State.FAULT, state in DISABLED
     text = "fault: remove its cause and reset it" if fault else state.words
-    text += "" if disabled else ": `robot-acquire disable` disables it"
-    yield Finding("state", text, ok=disabled and not fault, node=node, track=fault)
+    way_out = "" if disabled else ": `robot-acquire disable` disables it"
+    yield Finding("state", text + way_out, ok=disabled and not fault, node=node, track=fault)
     try:
         for need in list(needs_of(master, drive, track=True)):
             yield Finding(

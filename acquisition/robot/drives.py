@@ -96,8 +96,14 @@ class Drive:
 
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""
-        pdos = self.tpdos if direction == "tpdo" else self.rpdos
-        return next((pdo for pdo in pdos if entry.key in [e.key for e in pdo.entries]), None)
+        return next(
+            (
+                pdo
+                for pdo in (self.tpdos if direction == "tpdo" else self.rpdos)
+                if entry.key in [e.key for e in pdo.entries]
+            ),
+            None,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

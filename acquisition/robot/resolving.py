@@ -183,8 +183,7 @@ def _drive(
             f": {index:04X}:{sub} {text}"
             for (index, sub), text in mapped.items()
             if isinstance(text, str) and 0x1800 <= index < 0x1C00
-        ]
-        reasons += [f": {confirmed.refused}"] if confirmed and confirmed.refused else [""]
+        ] + [f": {confirmed.refused}" if confirmed and confirmed.refused else ""]
         Location(place).refuse(
             text=f"{at.table}.mapping: no PDO from the drive carries {absent[0]}{reasons[0]}",
             expected=f"one ({file.mapping})",

@@ -210,8 +210,10 @@ def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array
     """
     # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
-    speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
-    return share * (travel + rest * (rest * a - share * b)), speed
+    return (
+        share * (travel + rest * (rest * a - share * b)),
+        travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b,
+    )
 
 
 GROUP = "robot_idim.plants"
