@@ -228,8 +228,12 @@ class Master:
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = self.exchange(node, cia.write_request(index, sub, value, size), place)
-        cia.check_answer(cia.answer_of(answer), "written", node, place)
+        cia.check_answer(
+            cia.answer_of(self.exchange(node, cia.write_request(index, sub, value, size), place)),
+            "written",
+            node,
+            place,
+        )
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""

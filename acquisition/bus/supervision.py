@@ -216,14 +216,20 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
     except (NoAnswerError, SdoAbortedError):
         sub = None
-    lacks = {
-        f"none of the master (no free 1016, {reaction:04X} is 0 or not there)": sub is None
-        and not read_if_there(master, drive, reaction),
-        f"none of the following error ({window:04X} is off or not there)": (
-            read_if_there(master, drive, window) in (None, NO_WINDOW)
-        ),
-    }
-    return " and ".join(text for text, is_missing in lacks.items() if is_missing)
+    return " and ".join(
+        text
+        for text, is_missing in (
+            (
+                f"none of the master (no free 1016, {reaction:04X} is 0 or not there)",
+                sub is None and not read_if_there(master, drive, reaction),
+            ),
+            (
+                f"none of the following error ({window:04X} is off or not there)",
+                read_if_there(master, drive, window) in (None, NO_WINDOW),
+            ),
+        )
+        if is_missing
+    )
 
 
 def refuse_unsupervised(master: Master) -> None:
@@ -284,17 +290,16 @@ def _in_words(index: int, value: int) -> str:
 
 def _following_error(master: Master, drive: Drive) -> Property:
     axis = axis_of(drive)
-    window = read_if_there(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis)
-    time_ms = read_if_there(master, drive, cia.FOLLOWING_ERROR_TIME + axis)
+    window, time_ms = (
+        read_if_there(master, drive, index + axis)
+        for index in (cia.FOLLOWING_ERROR_WINDOW, cia.FOLLOWING_ERROR_TIME)
+    )
     name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
-    after = (
-        f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
-        if time_ms is not None
-        else ""
+    return name, f"{window}: an error above {window} of the drive's position units" + (
+        "" if time_ms is None else f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
     )
-    return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 
 def read_if_there(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:

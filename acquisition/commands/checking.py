@@ -198,9 +198,14 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
         return
     # A recording leaves a drive in fault as it is; motion begins with its reset.
     fault, disabled = state is State.FAULT, state in DISABLED
-    text = "fault: remove its cause and reset it" if fault else state.words
-    way_out = "" if disabled else ": `robot-acquire disable` disables it"
-    yield Finding("state", text + way_out, ok=disabled and not fault, node=node, track=fault)
+    yield Finding(
+        "state",
+        ("fault: remove its cause and reset it" if fault else state.words)
+        + ("" if disabled else ": `robot-acquire disable` disables it"),
+        ok=disabled and not fault,
+        node=node,
+        track=fault,
+    )
     try:
         for need in list(needs_of(master, drive, track=True)):
             yield Finding(

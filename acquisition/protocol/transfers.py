@@ -64,8 +64,13 @@ class Pdo:
             Location(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"{len(data)} bytes", expected=str(self.length)
             )
-        found = struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data)
-        return dict(zip((e.key for e in self.entries), found, strict=True))
+        return dict(
+            zip(
+                (e.key for e in self.entries),
+                struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data),
+                strict=True,
+            )
+        )
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:

@@ -147,8 +147,11 @@ class DriveFile(TomlTable, frozen=True):
                 for key, word in words.items()
             ),
         )
-        for key in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
-            unit = self.rated_current_unit if key == "rated_current_a" else self.rated_torque_unit
+        for key, unit in (
+            ("rated_current_a", self.rated_current_unit),
+            ("rated_torque_nm", self.rated_torque_unit),
+            ("rated_force_n", self.rated_torque_unit),
+        ):
             value, most = getattr(self, key), (2**32 - 1) * RATED_UNITS[unit]
             self.require(
                 value is None or RATED_UNITS[unit] <= value <= most,

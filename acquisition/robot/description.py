@@ -12,8 +12,7 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
-from .fit_tables import Controller, Identification, PayloadFile
-from .friction import FrictionTerm
+from .fit_tables import Controller, FrictionTerm, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
 
 

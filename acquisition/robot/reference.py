@@ -78,8 +78,10 @@ def fourier_reference(
     low, high = np.array([joint.si("position") for joint in robot.joints]).T
     scale = (high - low) / np.ptp(q, axis=0)
     for quantity, peak in (("speed", dq), ("acceleration", ddq)):
-        most = np.array([joint.si(quantity) or np.inf for joint in robot.joints])
-        scale = np.minimum(scale, most / np.abs(peak).max(axis=0))
+        scale = np.minimum(
+            scale,
+            [joint.si(quantity) or np.inf for joint in robot.joints] / np.abs(peak).max(axis=0),
+        )
     scale *= share
     center = (low + high) / 2 - scale * (q.max(axis=0) + q.min(axis=0)) / 2
     sine, cosine = (x * scale[:, None] for x in (sine, cosine))

@@ -67,9 +67,11 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
     """
     ratios = [abs(r) for r in robot.R[i]]
     limits = [x.si(quantity) if r else 0.0 for r, x in zip(ratios, robot.joints, strict=True)]
-    if None in limits:
-        return None
-    return float(sum(r * limit for r, limit in zip(ratios, limits, strict=True)))
+    return (
+        None
+        if None in limits
+        else float(sum(r * limit for r, limit in zip(ratios, limits, strict=True)))
+    )
 
 
 def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:

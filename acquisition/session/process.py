@@ -212,8 +212,13 @@ def _master_ids(robot: Robot, place: str) -> Ints:
     session is this program.
     """
     bus = resolve(robot, place)
-    sync = [bus.file.sync_can_id] if bus.file.sync_producer == "recorder" else []
-    return np.array([HEARTBEAT + bus.file.master_node, *sync, *command_ids(bus)])
+    return np.array(
+        [
+            HEARTBEAT + bus.file.master_node,
+            *([bus.file.sync_can_id] if bus.file.sync_producer == "recorder" else []),
+            *command_ids(bus),
+        ]
+    )
 
 
 def _record(

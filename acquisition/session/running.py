@@ -191,14 +191,17 @@ def _simulated(
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
-    recorder = Recorder(
-        out,
-        describe_loops(robot, mechanism.loops),
-        source="dry run on simulated drives",
-        place=place,
-        payload=payload,
-    )
-    with closing(InlineLog(recorder)) as log:
+    with closing(
+        InlineLog(
+            Recorder(
+                out,
+                describe_loops(robot, mechanism.loops),
+                source="dry run on simulated drives",
+                place=place,
+                payload=payload,
+            )
+        )
+    ) as log:
         link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
             log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")

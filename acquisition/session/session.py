@@ -319,10 +319,12 @@ class _Session:
             if self._stop.reason:
                 return
             yield order
-        held = itertools.repeat(
-            _enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s)
+        yield from itertools.takewhile(
+            lambda _: not self._stop.reason,
+            itertools.repeat(
+                _enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s)
+            ),
         )
-        yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[bus.Orders]:

@@ -106,8 +106,11 @@ def typical_plant(
 
 def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
     """Inertias (n,) at the joints: half the rated effort gives the stated acceleration."""
-    acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
-    return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
+    return np.asarray(
+        0.5
+        * np.abs(robot.joint_effort(rated_motor_effort[None])[0])
+        / [j.si("acceleration") or 10.0 for j in robot.joints]
+    )
 
 
 def middle_of_range(robot: Robot) -> Array:

@@ -204,10 +204,12 @@ def _units_and_limits(drive: Drive) -> dict[Key, int]:
     """
     per_turn = Fraction(drive.file.counts_per_turn or 0).limit_denominator(1000)
     position, velocity, motor_speed = cia.MOTION_LIMITS
-    texts = zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
     values = {
         (cia.SUPPORTED_MODES, 0): 1 << cia.Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
-        **{(index, 0): int.from_bytes(text, "little") for index, text in texts},
+        **{
+            (index, 0): int.from_bytes(text, "little")  # of four bytes: in one frame
+            for index, text in zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)
+        },
     }
     speeds = {velocity: drive.motion.speed or 0.0}
     if per_turn:
@@ -239,10 +241,15 @@ def simulated_node(drive: Drive) -> SimulatedNode:
             ):
                 values[index, sub] = value | cia.NOT_VALID
     else:
-        named = drive.status, drive.control, drive.position, drive.target, drive.effort.entry
         types = (
             dict(cia.STANDARD)
-            | {entry.key: entry.type for entry in (*named, *drive.extras)}
+            | {
+                entry.key: entry.type
+                for entry in (
+                    *(drive.status, drive.control, drive.position, drive.target),
+                    *(drive.effort.entry, *drive.extras),
+                )
+            }
             | {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
             | _entries_of(cia.IDENTITY, 4)
             | _entries_of(cia.CONSUMER_HEARTBEAT, CONSUMERS)
