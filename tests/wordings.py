@@ -42,6 +42,11 @@ def wording(node: ast.expr | None) -> str:
     return f"{{{ast.unparse(node.value if isinstance(node, ast.FormattedValue) else node)}}}"
 
 
+def name_of(call: ast.Call) -> str:
+    """The name of what is called, without the object that has it."""
+    return getattr(call.func, "id", getattr(call.func, "attr", ""))
+
+
 def assigned(function: ast.AST) -> dict[str, ast.expr]:
     """The texts that a function gives a name once, by name."""
     found: dict[str, list[ast.expr]] = {}
@@ -55,13 +60,18 @@ def lines_of(path: Path) -> Iterator[str]:
     """A line for each place of a file that raises an error with a text of its own."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-        name = getattr(call.func, "id", getattr(call.func, "attr", ""))
-        if name not in POSITIONS:
-            continue
+    calls = [(name_of(x), x, x.args) for x in ast.walk(tree) if isinstance(x, ast.Call)]
+    calls += [
+        ("require", call, rule.elts)
+        for name, call, _ in calls
+        if name == "require_all"
+        for rule in ast.walk(call)
+        if isinstance(rule, ast.Tuple) and len(rule.elts) == len(POSITIONS["require"])
+    ]
+    for name, call, arguments in (one for one in calls if one[0] in POSITIONS):
         around = [one for one in functions if one.lineno <= call.lineno <= (one.end_lineno or 0)]
         names = assigned(around[-1]) if around else {}
-        given = dict(zip(POSITIONS[name], call.args, strict=False)) | {
+        given = dict(zip(POSITIONS[name], arguments, strict=False)) | {
             k.arg: k.value for k in call.keywords
         }
         text, expected = (

@@ -271,9 +271,12 @@ class Uploads:
 
     def _refuse(self) -> None:
         if self._refusal:
-            sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
             raise RefusedError(
-                self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}"
+                self._refusal,
+                what="sending",
+                place="bus",
+                expected="none during a scan; "
+                + (f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"),
             )
 
 

@@ -71,11 +71,10 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
         yield _interpolation(master, drive)
         # with its display: a session waits until that follows
         mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
-        answers = _ask(master, drive, (mode, 0), (display, 0))
         yield _values(
             drive,
             f"mode and display {mode:04X} {display:04X}",
-            answers,
+            _ask(master, drive, (mode, 0), (display, 0)),
             {(mode, 0): cia.Mode.CYCLIC_SYNCHRONOUS_POSITION},
         )
         yield from _limits(master, drive)
@@ -195,11 +194,14 @@ def _values(
     drive: Drive, name: str, answers: Answers, wanted: dict[cia.Key, int], unit: str = ""
 ) -> Need:
     """Objects that have to have the raw values `wanted` before motion."""
-    writes = [
-        (*key, value, drive.size_of(*key)) for key, value in wanted.items() if answers[key] != value
-    ]
-    shown = " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values())
-    return _need(drive, name, answers, writes, shown + unit)
+    differ = {key: value for key, value in wanted.items() if answers[key] != value}
+    return _need(
+        drive,
+        name,
+        answers,
+        [(*key, value, drive.size_of(*key)) for key, value in differ.items()],
+        " ".join(str(x) if isinstance(x, int) else "-" for x in answers.values()) + unit,
+    )
 
 
 def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
@@ -215,16 +217,15 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
     stated, on_sync = answers[can_id], answers[kind] == cia.ON_SYNC
     no_remote = stated & cia.NO_REMOTE if isinstance(stated, int) else 0
     is_right = is_mapped and on_sync and stated == pdo.can_id | no_remote
-    writes = [
-        write
-        for write in cia.configuration(way, pdo, no_remote)
-        if not (is_right or (is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
-    ]
     return _need(
         drive,
         f"{way.upper()} {pdo.number} {communication:04X} {mapping:04X}",
         answers,
-        writes,
+        [
+            write
+            for write in ([] if is_right else cia.configuration(way, pdo, no_remote))
+            if not ((is_mapped and write[0] == mapping) or (on_sync and write[:2] == kind))
+        ],
         "as described" if is_right else "differs",
         track=way == "rpdo",
     )
@@ -266,8 +267,9 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
             answers, wanted = _ask(master, drive, key), form.format(number)
             need = _need(drive, f"{name} {_name(key)}", answers, (), wanted, track=False)
             if not need.refusal and answers[key] != number:
-                refusal = f"{form.format(answers[key])}: expected {wanted} as {source} says"
-                need = replace(need, refusal=refusal)
+                need = replace(
+                    need, refusal=f"{form.format(answers[key])}: expected {wanted} as {source} says"
+                )
             yield need
 
 

@@ -39,15 +39,15 @@ def block_of(frames: Iterable[Frame]) -> Block:
 def frame_of(message: Any) -> Frame:
     """A message of python-can as a frame."""
     extended = message.is_extended_id or message.arbitration_id > _MAX_BASE_ID
-    flags = (
+    return Frame(
+        round(message.timestamp * 1e9),
+        message.arbitration_id,
+        bytes(message.data)[:8],
         (EXTENDED if extended and not message.is_error_frame else 0)
         | (ERROR if message.is_error_frame else 0)
         | (REMOTE_REQUEST if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
-        | (CAN_FD if message.is_fd else 0)
-    )
-    return Frame(
-        round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags
+        | (CAN_FD if message.is_fd else 0),
     )
 
 

@@ -187,19 +187,19 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         "channel": file.channel,
         "ignore_config": True,
     }
-    if file.interface == "udp_multicast":
-        # A hop limit of 0 keeps every frame on this machine.
-        options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
-        group, _, port = file.channel.partition(":")
-        options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
-    elif file.interface == "socketcan":
-        options["fd"] = True  # frames of CAN FD are received too, to be counted
-    elif file.interface not in SHARED:
-        options["bitrate"] = file.bitrate
-        if file.interface == "gs_usb" and file.channel.isdigit():
-            # the number of the device; python-can takes no text
-            options["channel"] = int(file.channel)
-        options |= LISTEN_ONLY.get(file.interface, {}) if passive else {}
+    match file.interface:
+        case "udp_multicast":
+            group, _, port = file.channel.partition(":")
+            # A hop limit of 0 keeps every frame on this machine.
+            options |= {"hop_limit": 0 if file.loopback else 1, "fd": False, "channel": group}
+            options |= {"port": int(port)} if port.isdigit() else {}
+        case "socketcan":
+            options["fd"] = True  # frames of CAN FD are received too, to be counted
+        case adapter if adapter not in SHARED:
+            if adapter == "gs_usb" and file.channel.isdigit():
+                # the number of the device; python-can takes no text
+                options["channel"] = int(file.channel)
+            options |= {"bitrate": file.bitrate} | (LISTEN_ONLY.get(adapter, {}) if passive else {})
     if "state" in options:
         options["state"] = can.BusState[options["state"]]
     try:

@@ -187,10 +187,9 @@ class Master:
         Values received before are discarded, so that no old position is taken for a new one.
         """
         for watch in self.nodes:
-            watch.statusword, watch.counts = None, None
-            watch.answers, watch.silent_syncs = 0, 0
-            watch.booted, watch.emergency, watch.nmt = False, None, None
-            watch.started, watch.unstarted = False, 0
+            watch.statusword = watch.counts = watch.emergency = watch.nmt = None
+            watch.answers = watch.silent_syncs = watch.unstarted = 0
+            watch.booted = watch.started = False
             self.nmt(START, watch.drive.node)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
@@ -222,15 +221,19 @@ class Master:
             self._sized |= {node} if answer.kind == "value" else set()
         elif node not in self._sized and (node in self.by_node or not answer.stated):
             watch = self.by_node.get(node)
-            size = watch.drive.size_of(index, sub) if watch else cia.size_of(index, sub)
-            return replace(answer, data=answer.data[:size])
+            size_of = watch.drive.size_of if watch else cia.size_of
+            return replace(answer, data=answer.data[: size_of(index, sub)])
         return answer
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = self.exchange(node, cia.write_request(index, sub, value, size), place)
-        cia.check_answer(cia.answer_of(answer), "written", node, place)
+        cia.check_answer(
+            cia.answer_of(self.exchange(node, cia.write_request(index, sub, value, size), place)),
+            "written",
+            node,
+            place,
+        )
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""

@@ -94,12 +94,12 @@ def _block_of_raw(items: list[Any]) -> Block:
     word = raw["can_id"]
     extended = (word & 0x80000000) != 0
     block["can_id"] = np.where(extended, word & 0x1FFFFFFF, word & 0x7FF)
-    ours = np.array([item[2] & socket.MSG_DONTROUTE for item in items]) != 0  # made on this machine
     block["flags"] = (
         extended * EXTENDED
         | ((word & 0x40000000) != 0) * REMOTE_REQUEST
         | ((word & 0x20000000) != 0) * ERROR
-        | ours * SENT
+        # made on this machine
+        | (np.array([item[2] & socket.MSG_DONTROUTE for item in items]) != 0) * SENT
         | np.array([len(item[0]) == _FD_BYTES for item in items], bool) * CAN_FD
     )
     block["length"] = np.minimum(raw["length"], 8)
@@ -123,8 +123,9 @@ class WallClock:
         offset_ns: int | None = None,  # between the clocks when a session began; None: now
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
-        self._begin_ns = wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
-        self._offset_ns = self._begin_ns
+        self._begin_ns = self._offset_ns = (
+            wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
+        )
         self._last_ns: int | None = None  # latest stamp, uncorrected
         # a step not yet seen in the stamps, and for how many blocks
         self._pending_ns, self._waited = 0, 0

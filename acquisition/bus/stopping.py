@@ -130,8 +130,7 @@ def safe_stop(
     `after_sync` is called after every SYNC. Whatever is raised, by `after_sync` too, is left to
     `held`.
     """
-    now_ns = master.link.now_ns()
-    period_ns = master.bus.period_ns
+    now_ns, period_ns = master.link.now_ns(), master.bus.period_ns
     window = max(1, round(WINDOW_S * 1e9 / period_ns))
     drives = [
         _Stopping(watch=w, since_ns=now_ns, period_ns=period_ns, window=window)
@@ -175,8 +174,7 @@ def stop_drives(bus: Bus) -> list[int]:
 
     An interrupt (Ctrl-C) is raised afterwards, unless the result is not what it has to be.
     """
-    held = HeldBack()
-    link = open_link(bus.file, passive=False)
+    held, link = HeldBack(), open_link(bus.file, passive=False)
     master = Master(link, bus)
     unconfirmed = safe_stop(master, held)
     with held:
@@ -222,8 +220,8 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
     answered or has timed out.
     """
     drive, now_ns = one.watch.drive, master.link.now_ns()
-    since_ns = now_ns - one.asked_ns
-    if one.wrote is command and since_ns < (SDO_TIMEOUT_NS if one.request else ASK_S * 1e9):
+    pause_ns = SDO_TIMEOUT_NS if one.request else ASK_S * 1e9
+    if one.wrote is command and now_ns - one.asked_ns < pause_ns:
         return
     if one.reading:  # not answered
         one.watch.ramp_objects[one.reading] = None

@@ -161,21 +161,21 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
         read_if_there(master, drive, ERROR_BEHAVIOUR, 1),
         read_if_there(master, drive, RPDO_PARAMETERS, 5),
     )
-    behaves = (
-        f"{NOT_THERE}: pre-operational (CiA 301)"
-        if behaviour is None
-        else _in_words(ERROR_BEHAVIOUR, behaviour)
-    )
-    missed = (
-        f"{timer}: an error after {timer} ms without the PDO"
-        if timer
-        else f"{NOT_THERE if timer is None else 0}: a missing PDO to the drive has no effect"
-    )
     return [
         _consumers(master, drive),
         _option(master, drive, cia.ABORT_CONNECTION, "reaction"),
-        (f"communication error {ERROR_BEHAVIOUR:04X}:1", behaves),
-        (f"missing targets {RPDO_PARAMETERS:04X}:5", missed),
+        (
+            f"communication error {ERROR_BEHAVIOUR:04X}:1",
+            f"{NOT_THERE}: pre-operational (CiA 301)"
+            if behaviour is None
+            else _in_words(ERROR_BEHAVIOUR, behaviour),
+        ),
+        (
+            f"missing targets {RPDO_PARAMETERS:04X}:5",
+            f"{timer}: an error after {timer} ms without the PDO"
+            if timer
+            else f"{NOT_THERE if timer is None else 0}: a missing PDO to the drive has no effect",
+        ),
         *(_option(master, drive, index, name) for index, name in _STOPS.items()),
         _following_error(master, drive),
     ]
@@ -216,14 +216,20 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
     except (NoAnswerError, SdoAbortedError):
         sub = None
-    lacks = {
-        f"none of the master (no free 1016, {reaction:04X} is 0 or not there)": sub is None
-        and not read_if_there(master, drive, reaction),
-        f"none of the following error ({window:04X} is off or not there)": (
-            read_if_there(master, drive, window) in (None, NO_WINDOW)
-        ),
-    }
-    return " and ".join(text for text, is_missing in lacks.items() if is_missing)
+    return " and ".join(
+        text
+        for text, is_missing in (
+            (
+                f"none of the master (no free 1016, {reaction:04X} is 0 or not there)",
+                sub is None and not read_if_there(master, drive, reaction),
+            ),
+            (
+                f"none of the following error ({window:04X} is off or not there)",
+                read_if_there(master, drive, window) in (None, NO_WINDOW),
+            ),
+        )
+        if is_missing
+    )
 
 
 def refuse_unsupervised(master: Master) -> None:
@@ -243,10 +249,10 @@ def second_stop(file: BusFile) -> str:
     """Whether the recorder's process can stop the drives when the session's
     process dies or hangs.
     """
-    if file.interface in SHARED:
-        return "the recorder's process stops the drives of a tracking session that dies or hangs"
     return (
-        f"none: {file.interface} opens once only: if the session dies or hangs, only the "
+        "the recorder's process stops the drives of a tracking session that dies or hangs"
+        if file.interface in SHARED
+        else f"none: {file.interface} opens once only: if the session dies or hangs, only the "
         "drives' own supervision stops them"
     )
 
@@ -257,9 +263,11 @@ def _consumers(master: Master, drive: Drive) -> Property:
         entries = heartbeat_consumers(master, drive.node)
     except (NoAnswerError, SdoAbortedError):
         return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
-    used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
+    used = ", ".join(
+        f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF
+    )
     sub = free_entry(entries, file.master_node)
-    return name, (", ".join(used) or "none in use") + (
+    return name, (used or "none in use") + (
         ": no free sub-index: the drive does not detect the loss of the master"
         if sub is None
         else f"; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
@@ -282,17 +290,16 @@ def _in_words(index: int, value: int) -> str:
 
 def _following_error(master: Master, drive: Drive) -> Property:
     axis = axis_of(drive)
-    window = read_if_there(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis)
-    time_ms = read_if_there(master, drive, cia.FOLLOWING_ERROR_TIME + axis)
+    window, time_ms = (
+        read_if_there(master, drive, index + axis)
+        for index in (cia.FOLLOWING_ERROR_WINDOW, cia.FOLLOWING_ERROR_TIME)
+    )
     name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
-    after = (
-        f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
-        if time_ms is not None
-        else ""
+    return name, f"{window}: an error above {window} of the drive's position units" + (
+        "" if time_ms is None else f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
     )
-    return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 
 def read_if_there(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:

@@ -73,7 +73,12 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     handle = open_bus(bus.file, passive=False)
     with closing(Link(handle)) as link:
         findings = [
-            _load(bus),
+            Finding(
+                "bus load",
+                f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
+                f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
+                ok=bus.load <= MAX_LOAD,
+            ),
             Finding("second stop", second_stop(bus.file)),
             *(
                 Finding("effort", text)
@@ -117,8 +122,8 @@ def table(findings: list[Finding]) -> list[str]:
     """One line per finding, shared by drives with the same one: mark, property, nodes, value."""
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
-        same = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
-        same += [] if finding.node is None else [str(finding.node)]
+        key = (finding.subject, one_line(finding.found), finding.ok)
+        nodes.setdefault(key, []).extend([] if finding.node is None else [str(finding.node)])
     # different drives stand below each other
     order = list(dict.fromkeys(subject for subject, _, _ in nodes))
     rows = sorted(
@@ -157,8 +162,8 @@ def refusal(findings: list[Finding]) -> str:
     does.
     """
     recording, motion = verdicts(findings).values()
-    only = " for --track" if recording == "go" else ""
-    return "" if motion == "go" else motion.replace("no go", f"no go{only}", 1)
+    no_go = "no go for --track" if recording == "go" else "no go"
+    return "" if motion == "go" else motion.replace("no go", no_go, 1)
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -167,15 +172,18 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        text = f"{other}; states, needs of a session, supervision, scales and SYNC are not checked"
-        return [Finding(OTHER_NODES, text, ok=False)]
+        unread = "states, needs of a session, supervision, scales and SYNC are not checked"
+        return [Finding(OTHER_NODES, f"{other}; {unread}", ok=False)]
     findings = [finding for drive in bus.drives for finding in _of_drive(master, drive)]
     if len(findings) == len(bus.drives):  # the state alone: no drive has answered
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
-    findings.append(_jitter(master))
-    return findings + [
-        Finding("node ids", f"two devices answer as node {node}", ok=False)
-        for node in master.doubled  # while SYNC was measured, too
+    return [
+        *findings,
+        _jitter(master),
+        *(
+            Finding("node ids", f"two devices answer as node {node}", ok=False)
+            for node in master.doubled  # while SYNC was measured, too
+        ),
     ]
 
 
@@ -190,9 +198,14 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
         return
     # A recording leaves a drive in fault as it is; motion begins with its reset.
     fault, disabled = state is State.FAULT, state in DISABLED
-    text = "fault: remove its cause and reset it" if fault else state.words
-    text += "" if disabled else ": `robot-acquire disable` disables it"
-    yield Finding("state", text, ok=disabled and not fault, node=node, track=fault)
+    yield Finding(
+        "state",
+        ("fault: remove its cause and reset it" if fault else state.words)
+        + ("" if disabled else ": `robot-acquire disable` disables it"),
+        ok=disabled and not fault,
+        node=node,
+        track=fault,
+    )
     try:
         for need in list(needs_of(master, drive, track=True)):
             yield Finding(
@@ -204,10 +217,9 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
             )
     except BusFaultError as error:
         yield Finding("objects", error.args[0], ok=False, node=node)
-    warnings = drive.dictionary.warnings if drive.dictionary else ()
     for name, text in (
         *supervision_of(master, drive),
-        *(("dictionary", text) for text in warnings),
+        *(("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())),
         *_scale(master, drive),
     ):
         yield Finding(name, text, node=node)
@@ -241,15 +253,6 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
     return [("scale", ", ".join([*values, text]))] if values else []
 
 
-def _load(bus: Bus) -> Finding:
-    return Finding(
-        "bus load",
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
-        f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
-        ok=bus.load <= MAX_LOAD,
-    )
-
-
 def _jitter(master: Master) -> Finding:
     """The jitter of SYNC, as sent by this program or as received."""
     try:
@@ -269,15 +272,18 @@ def _jitter(master: Master) -> Finding:
 def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     """Reported joint positions, and whether the drives are homed."""
     try:
-        words = position_words(robot, joint_positions(robot, master))
-        yield Finding("joint positions", f"{', '.join(words)}: check that the robot stands there")
+        words = ", ".join(position_words(robot, joint_positions(robot, master)))
+        yield Finding("joint positions", f"{words}: check that the robot stands there")
         for drive in master.bus.drives:
             homed = is_homed(master, drive)
-            text = (
+            yield Finding(
+                "homed",
                 "not described: the drive's zero may be its position at power-on"
                 if homed is None
-                else f"{'yes' if homed else 'NO'} ({drive.file.homed})"
+                else f"{'yes' if homed else 'NO'} ({drive.file.homed})",
+                ok=homed is not False,
+                node=drive.node,
+                track=True,
             )
-            yield Finding("homed", text, ok=homed is not False, node=drive.node, track=True)
     except BusFaultError as error:
         yield Finding("joint positions", error.args[0], ok=False)

@@ -117,7 +117,14 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
     )
     if not bag and options.map is None and is_recording(tables[0]):
         _refuse_bag_options(options)
-        _refuse_as_recording(options)
+        _refuse_second(tables, "recording")
+        COMMAND_LINE.require(
+            options.payload is None,
+            "--payload",
+            options.payload,
+            "none with a recording, whose payload is kept; `robot-identify fit --payload` "
+            "replaces it",
+        )
         return import_recording(tables[0], out, robot, str(options.robot or ""))
     if not bag and options.map is None and _propose(options, robot):
         return None
@@ -127,13 +134,18 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
     if bag:
         _refuse_as_bag(options)
         topic, _, other = (name.strip() for name in (options.topic or "").partition(","))
-        asked = BagOptions(
-            topic=topic,
-            reference_topic=other,
-            effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
-            resample_hz=options.resample_hz,
+        return import_bag(
+            tables[0],
+            robot,
+            out,
+            BagOptions(
+                topic=topic,
+                reference_topic=other,
+                effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
+                resample_hz=options.resample_hz,
+            ),
+            payload,
         )
-        return import_bag(tables[0], robot, out, asked, payload)
     _refuse_bag_options(options)
     if options.map is not None:
         return import_tables(tables, robot, options.map, out, payload)
@@ -157,15 +169,14 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         ),
         *(f"with {name.replace('_', ' ')}" for name in ("reference", *OPTIONAL) if name in fields),
     ]
-    print(one_line(", ".join(parts)))
-    for name, text in (
-        ("topic", found.topic),
-        ("times", found.times),
-        ("rows", about["rows"]),
-        ("reference", recording.metadata.get("reference", "")),
-    ):
-        if text:
-            print(one_line(f"{name}: {text}"))
+    more = {
+        "topic": found.topic,
+        "times": found.times,
+        "rows": about["rows"],
+        "reference": recording.metadata.get("reference", ""),
+    }
+    lines = [", ".join(parts), *(f"{name}: {text}" for name, text in more.items() if text)]
+    print(*map(one_line, lines), sep="\n")
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 
@@ -253,16 +264,6 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
         "--resample-hz",
         options.resample_hz,
         "a number above 0",
-    )
-
-
-def _refuse_as_recording(options: argparse.Namespace) -> None:
-    _refuse_second(options.tables, "recording")
-    COMMAND_LINE.require(
-        options.payload is None,
-        "--payload",
-        options.payload,
-        "none with a recording, whose payload is kept; `robot-identify fit --payload` replaces it",
     )
 
 

@@ -167,6 +167,6 @@ class _File:
         found = key in lines and re.search(rf"(?ims)^\[{section}\].*?^({key})[ \t]*=", self._text)
         if not found:
             return ""
-        line = self._text.count("\n", 0, found.start(1))
         problem = f"= {lines[key]!r} is no number" if lines[key] else "is empty"
+        line = self._text.count("\n", 0, found.start(1))
         return f"{self._place}: line {line}: {found[1]} {problem}"

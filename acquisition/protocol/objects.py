@@ -213,12 +213,12 @@ def object_type(index: int, sub: int) -> str:
         return {0: "U8", 1: "U32", 3: "U16", 5: "U16"}.get(sub, "U8")
     # The objects of each further axis are 800h higher (CiA 402-2).
     first = 0x6000 | index & 0x7FF if 0x6000 <= index < 0xA000 else index
-    known = (
+    return (
         STANDARD.get((first, sub))
         or EFFORT_OBJECTS.get((first, sub), ("",))[0]
         or _MORE_TYPES.get((first, sub))
+        or ("U8" if index < 0x2000 and not sub else "U32")
     )
-    return known or ("U8" if index < 0x2000 and not sub else "U32")
 
 
 def size_of(index: int, sub: int) -> int:

@@ -96,8 +96,7 @@ def state_of(statusword: int) -> State:
 def command_of(controlword: int) -> Command | None:
     """Command in a controlword (6040h), None for bits of no command."""
     # a fault reset before all others
-    found = (c for c in reversed(Command) if controlword & c.value[0] == c.value[1])
-    return next(found, None)
+    return next((c for c in reversed(Command) if controlword & c.value[0] == c.value[1]), None)
 
 
 def toward(state: State, goal: State) -> Command | None:
@@ -110,12 +109,9 @@ def toward(state: State, goal: State) -> Command | None:
     for at in queue:
         if at is goal:
             return reached[at]
-        steps: list[tuple[Command | None, State]] = [
-            *((command, then) for (was, command), then in TRANSITIONS.items() if was is at),
-            *((None, then) for was, then in AUTOMATIC.items() if was is at),
-        ]
-        for command, then in steps:
-            if then not in reached:
+        automatic = (((was, None), then) for was, then in AUTOMATIC.items())
+        for (was, command), then in (*TRANSITIONS.items(), *automatic):
+            if was is at and then not in reached:
                 reached[then] = command if at is state else reached[at]
                 queue.append(then)
     raise BusFaultError(f"no command leads from {state.words} to {goal.words}")
@@ -188,23 +184,20 @@ def error_frame_words(can_id: int, data: bytes) -> str:
     """
     data = data.ljust(8, b"\0")
     halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
-    wires = [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
-    if data[4] & 0xF0 == _SHORT_TO_EACH_OTHER:
-        wires.append("CAN_L short to CAN_H")
     details = {
         0x002: [f"at bit {data[0]}"] if data[0] else [],
         0x004: [words for bit, words in _CONTROLLER.items() if data[1] & bit],
         0x008: [words for bit, words in _PROTOCOL.items() if data[2] & bit]
         + ([f"in {_LOCATIONS[data[3]]}"] if data[3] in _LOCATIONS else []),
-        0x010: wires,
+        0x010: [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
+        + (["CAN_L short to CAN_H"] if data[4] & 0xF0 == _SHORT_TO_EACH_OTHER else []),
     }
+    counted = f"{data[6]} transmit errors and {data[7]} receive errors counted"
     parts = [
         f"{words}: {', '.join(details[bit])}" if details.get(bit) else words
-        for bit, words in _CLASSES.items()
+        for bit, words in (_CLASSES | {_COUNTERS: counted}).items()
         if can_id & bit
     ]
-    if can_id & _COUNTERS:
-        parts.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
 
 
@@ -286,5 +279,5 @@ def notices(statusword: int) -> list[str]:
 def error_words(code: int) -> str:
     """An error code with its name: `0x2310 (continuous over current)`."""
     text = f"{code:04X}"
-    names = [_CODES[text[:length]] for length in (4, 2, 1) if text[:length] in _CODES]
-    return f"0x{text} ({names[0]})" if names else f"0x{text}"
+    names = (f" ({_CODES[text[:n]]})" for n in (4, 2, 1) if text[:n] in _CODES)
+    return f"0x{text}{next(names, '')}"

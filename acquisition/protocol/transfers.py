@@ -64,8 +64,13 @@ class Pdo:
             Location(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"{len(data)} bytes", expected=str(self.length)
             )
-        found = struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data)
-        return dict(zip((e.key for e in self.entries), found, strict=True))
+        return dict(
+            zip(
+                (e.key for e in self.entries),
+                struct.unpack_from("<" + "".join(_CODES[e.type] for e in self.entries), data),
+                strict=True,
+            )
+        )
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
@@ -141,8 +146,11 @@ def words_of(values: Values, index: int) -> list[tuple[str, int | str]]:
     """
     count = values.get((index, 0))
     subs = range(1, (count & 0xFF) + 1) if isinstance(count, int) else range(1)
-    words = ((f"{index:04X}:{sub}", values.get((index, sub), "is not known")) for sub in subs)
-    return [word for word in words if word[1]]
+    return [
+        (f"{index:04X}:{sub}", word)
+        for sub in subs
+        if (word := values.get((index, sub), "is not known"))
+    ]
 
 
 def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, int]]:
@@ -303,8 +311,8 @@ class Confirmed:
         """What a request writes is not known before its answer."""
         if request.kind not in ("write", "other"):
             return False
-        key, several = (request.index, request.sub), "was written in several frames"
-        written = request.number if request.kind == "write" else several
+        key = (request.index, request.sub)
+        written = request.number if request.kind == "write" else "was written in several frames"
         self._open.setdefault(key, []).append((written, self.values.get(key, "was not seen")))
         self.values[key] = "was written, but no answer was seen"
         return self.silent and self._answered(replace(request, kind="written"))
@@ -321,8 +329,11 @@ class Confirmed:
         if answer.kind == "written" and key[0] in (STORE, RESTORE) and key[1] in (1, 2):
             self.stored = dict(self.values) if key[0] == STORE else {}
         # What is read for the first time has been there before.
-        known = answer.kind == "written" or isinstance(before, int)
-        return known and self.values[key] != before and key[0] not in (STORE, RESTORE)
+        return (
+            (answer.kind == "written" or isinstance(before, int))
+            and self.values[key] != before
+            and key[0] not in (STORE, RESTORE)
+        )
 
     def _started(self) -> bool:
         before, lost = self.values, "was lost at a start of the drive"
@@ -339,10 +350,9 @@ def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
         return Transfer(kind="other")
     kind = kinds.get(data[0] >> 5, "other")
     index, sub = int.from_bytes(data[1:3], "little"), data[3]
-    if kind in ("write", "value"):
-        if not data[0] & 2:
-            return Transfer(kind="other", index=index, sub=sub)
+    if kind in ("write", "value") and data[0] & 2:
         stated = bool(data[0] & 1)
-        size = 4 - (data[0] >> 2 & 3) if stated else 4
-        return Transfer(kind=kind, index=index, sub=sub, data=data[4 : 4 + size], stated=stated)
+        end = 8 - (data[0] >> 2 & 3) if stated else 8
+        return Transfer(kind=kind, index=index, sub=sub, data=data[4:end], stated=stated)
+    kind = "other" if kind in ("write", "value") else kind
     return Transfer(kind=kind, index=index, sub=sub, data=data[4:] if kind == "abort" else b"")

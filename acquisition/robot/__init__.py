@@ -30,8 +30,14 @@ from .drives import (
     refuse_load,
     refuse_out_of_range,
 )
-from .fit_tables import Controller, Edges, LowSpeed, low_speed_by_method
-from .friction import FRICTION, FrictionTerm
+from .fit_tables import (
+    FRICTION,
+    Controller,
+    Edges,
+    FrictionTerm,
+    LowSpeed,
+    low_speed_by_method,
+)
 from .limits import (
     RADIANS_AS_DEGREES,
     EffortLimits,

@@ -15,7 +15,6 @@ from .toml import Positive, TomlTable, note, parse_toml
 
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
-PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
 _OBJECT = r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z"
 ObjectName = Annotated[str, msgspec.Meta(pattern=_OBJECT)]
 HomedName = Annotated[
@@ -52,7 +51,8 @@ class PdoFile(TomlTable, frozen=True):
         CanId | None, note("CAN identifier (default: the usual one of its number)")
     ] = None
     number: Annotated[
-        PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")
+        Annotated[int, msgspec.Meta(ge=1, le=512)] | None,
+        note("number of the PDO, from 1 (default: its place in the list)"),
     ] = None
 
 
@@ -121,26 +121,37 @@ class DriveFile(TomlTable, frozen=True):
     ] = ()
 
     def __post_init__(self) -> None:
-        for name, kind in self.objects.items():
-            self.require(kind in BITS, f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
-        self.require(
-            self.reference is not None or self.actual is not None,
-            "reference",
-            None,
-            "the object of the current or torque reference, or actual for its value",
+        words = {key: getattr(self, key) for key in _WORDS}
+        self.require_all(
+            *(
+                (kind in BITS, f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
+                for name, kind in self.objects.items()
+            ),
+            (
+                self.reference is not None or self.actual is not None,
+                "reference",
+                None,
+                "the object of the current or torque reference, or actual for its value",
+            ),
+            *(
+                (
+                    re.fullmatch(_OBJECT, name),
+                    f"extra[{k}]",
+                    name,
+                    "an object, such as 606C or 2081:1",
+                )
+                for k, name in enumerate(self.extra_objects)
+            ),
+            *(
+                (word is None or word in _WORDS[key], key, word, f"one of {', '.join(_WORDS[key])}")
+                for key, word in words.items()
+            ),
         )
-        for k, name in enumerate(self.extra_objects):
-            self.require(
-                re.fullmatch(_OBJECT, name),
-                f"extra[{k}]",
-                name,
-                "an object, such as 606C or 2081:1",
-            )
-        for key, known in _WORDS.items():
-            word = getattr(self, key)
-            self.require(word is None or word in known, key, word, f"one of {', '.join(known)}")
-        for key in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
-            unit = self.rated_current_unit if key == "rated_current_a" else self.rated_torque_unit
+        for key, unit in (
+            ("rated_current_a", self.rated_current_unit),
+            ("rated_torque_nm", self.rated_torque_unit),
+            ("rated_force_n", self.rated_torque_unit),
+        ):
             value, most = getattr(self, key), (2**32 - 1) * RATED_UNITS[unit]
             self.require(
                 value is None or RATED_UNITS[unit] <= value <= most,
@@ -148,23 +159,25 @@ class DriveFile(TomlTable, frozen=True):
                 value,
                 f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}",
             )
-        self.require(
-            (self.counts_per_turn is None) != (self.counts_per_m is None),
-            "counts_per_turn",
-            self.counts_per_turn,
-            "counts_per_turn or counts_per_m, one of the two",
-        )
-        self.require(
-            self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
-            "dictionary",
-            self.dictionary,
-            "the name of a file in the folder of robot.toml",
-        )
-        self.require(
-            self.mapping != "dictionary" or self.dictionary is not None,
-            "mapping",
-            self.mapping,
-            "a dictionary (EDS or DCF) that holds the mapping",
+        self.require_all(
+            (
+                (self.counts_per_turn is None) != (self.counts_per_m is None),
+                "counts_per_turn",
+                self.counts_per_turn,
+                "counts_per_turn or counts_per_m, one of the two",
+            ),
+            (
+                self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
+                "dictionary",
+                self.dictionary,
+                "the name of a file in the folder of robot.toml",
+            ),
+            (
+                self.mapping != "dictionary" or self.dictionary is not None,
+                "mapping",
+                self.mapping,
+                "a dictionary (EDS or DCF) that holds the mapping",
+            ),
         )
 
     @property
@@ -245,33 +258,35 @@ class BusFile(TomlTable, frozen=True):
     ] = "unknown"
 
     def __post_init__(self) -> None:
-        self.require(
-            self.bitrate in BITRATES,
-            "bitrate",
-            self.bitrate,
-            f"one of {', '.join(map(str, BITRATES))}",
+        nodes, period_s = [drive.node for drive in self.drive], self.sync_period_s
+        self.require_all(
+            (
+                self.bitrate in BITRATES,
+                "bitrate",
+                self.bitrate,
+                f"one of {', '.join(map(str, BITRATES))}",
+            ),
+            (1e-4 <= period_s <= 1.0, "sync_period_s", period_s, "0.0001 to 1"),
+            (
+                self.master_node not in nodes,
+                "master_node",
+                self.master_node,
+                "a node id that no drive has",
+            ),
+            *(
+                (
+                    node not in (*nodes, self.master_node),
+                    "other_nodes",
+                    node,
+                    "node ids that neither a drive nor master_node has",
+                )
+                for node in self.other_nodes
+            ),
+            *(
+                (node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before")
+                for i, node in enumerate(nodes)
+            ),
         )
-        self.require(
-            1e-4 <= self.sync_period_s <= 1.0, "sync_period_s", self.sync_period_s, "0.0001 to 1"
-        )
-        nodes = [drive.node for drive in self.drive]
-        self.require(
-            self.master_node not in nodes,
-            "master_node",
-            self.master_node,
-            "a node id that no drive has",
-        )
-        for node in self.other_nodes:
-            self.require(
-                node not in (*nodes, self.master_node),
-                "other_nodes",
-                node,
-                "node ids that neither a drive nor master_node has",
-            )
-        for i, node in enumerate(nodes):
-            self.require(
-                node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before"
-            )
 
     @property
     def mapped_by_traffic(self) -> bool:
@@ -293,12 +308,12 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     """A note if the ripple may be large and the effort of a drive is a torque demand."""
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
-    ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
-    text = (
+    if (ripple := demand_ripple(bandwidth_hz, bus.sync_period_s)) <= MAX_DEMAND_RIPPLE:
+        return ()
+    return (
         f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
-        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
+        "drives interpolate linearly: shorten sync_period_s, or record an averaged object",
     )
-    return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 
 class _Drives(msgspec.Struct):
@@ -314,13 +329,14 @@ def efforts_of_scan(text: bytes, place: str) -> tuple[str, ...]:
     object; empty where both are still to be filled in. Other keys may be missing or wrong.
     """
     usual = {f"{index:04X}": rule for (index, _), (_, rule, _) in EFFORT_OBJECTS.items()}
-    units = []
-    for drive in parse_toml(text, _Scanned, place).bus.drive:
+
+    def unit(drive: dict[str, Any]) -> str:
         word = "reference" if "reference" in drive else "actual"
         by_object = usual.get(str(drive.get(word)).upper().removesuffix(":0"), "")
         rule = RULES.get(str(drive.get(f"{word}_rule", by_object)))
-        units.append(rule.unit if rule else "")
-    return tuple(units)
+        return rule.unit if rule else ""
+
+    return tuple(map(unit, parse_toml(text, _Scanned, place).bus.drive))
 
 
 def parse_object(name: str) -> tuple[int, int]:

@@ -12,12 +12,8 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
-from .fit_tables import GAINS, Controller, Identification, PayloadFile
-from .friction import FrictionTerm
+from .fit_tables import Controller, FrictionTerm, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
-
-Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
-Matrix = tuple[tuple[float, ...], ...]
 
 
 class DH(TomlTable, frozen=True):
@@ -45,23 +41,27 @@ class Capsule(TomlTable, frozen=True):
     to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
-# of a joint
-QUANTITIES = (
-    "zero",
-    "position",
-    "speed",
-    "acceleration",
-    "following_error",
-    "stribeck_speed",
-    "effort",
-)
-
-
-def _key(quantity: str, kind: str) -> str:
-    if quantity == "effort":
-        return "effort_nm" if kind == "revolute" else "effort_n"
-    per = {"speed": "_s", "stribeck_speed": "_s", "acceleration": "_s2"}.get(quantity, "")
-    return f"{quantity}_{'deg' if kind == 'revolute' else 'm'}{per}"
+# of a joint, by its type and the quantity
+_KEYS = {
+    "revolute": {
+        "zero": "zero_deg",
+        "position": "position_deg",
+        "speed": "speed_deg_s",
+        "acceleration": "acceleration_deg_s2",
+        "following_error": "following_error_deg",
+        "stribeck_speed": "stribeck_speed_deg_s",
+        "effort": "effort_nm",
+    },
+    "prismatic": {
+        "zero": "zero_m",
+        "position": "position_m",
+        "speed": "speed_m_s",
+        "acceleration": "acceleration_m_s2",
+        "following_error": "following_error_m",
+        "stribeck_speed": "stribeck_speed_m_s",
+        "effort": "effort_n",
+    },
+}
 
 
 class Joint(TomlTable, frozen=True):
@@ -78,7 +78,8 @@ class Joint(TomlTable, frozen=True):
     coulomb: Annotated[bool | None, note("term of Coulomb friction (default: true)")] = None
     offset: Annotated[bool | None, note("term of a constant torque (default: false)")] = None
     friction: Annotated[
-        Friction, note("asymmetric: Fv and Fc by direction; or a list of all terms")
+        Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...],
+        note("asymmetric: Fv and Fc by direction; or a list of all terms"),
     ] = "symmetric"
     stribeck_speed_deg_s: Annotated[
         Positive | None,
@@ -121,11 +122,10 @@ class Joint(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
-        for quantity in QUANTITIES:
-            value = getattr(self, _key(quantity, other))
+        for quantity, key in _KEYS[other].items():
+            value = getattr(self, key)
             replacement = self.key(quantity) if quantity == "effort" else f"a key in {unit}"
-            expected = f"{replacement} for a {self.type} joint"
-            self.require(value is None, _key(quantity, other), value, expected)
+            self.require(value is None, key, value, f"{replacement} for a {self.type} joint")
         limits = getattr(self, self.key("position"))
         self.require(
             limits is None or limits[0] < limits[1],
@@ -134,15 +134,17 @@ class Joint(TomlTable, frozen=True):
             "[lowest, highest]",
         )
         if isinstance(self.friction, tuple):
-            for term in self.friction:
-                self.require(self.friction.count(term) <= 1, "friction", term, "each term once")
-            for name in ("viscous", "coulomb", "offset"):
-                self.require(
-                    getattr(self, name) is None,
-                    name,
-                    getattr(self, name),
-                    "no such key with a list of terms in friction",
-                )
+            given = {name: getattr(self, name) for name in ("viscous", "coulomb", "offset")}
+            self.require_all(
+                *(
+                    (self.friction.count(term) <= 1, "friction", term, "each term once")
+                    for term in self.friction
+                ),
+                *(
+                    (stated is None, name, stated, "no such key with a list of terms in friction")
+                    for name, stated in given.items()
+                ),
+            )
 
     @cached_property
     def position_unit(self) -> str:
@@ -168,18 +170,16 @@ class Joint(TomlTable, frozen=True):
 
     def key(self, quantity: str) -> str:
         """The key of a quantity of `si` in the file: `speed_deg_s`, `effort_n`."""
-        return _key(quantity, self.type)
+        return _KEYS[self.type][quantity]
 
     def si(self, quantity: str) -> Any:
-        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or
+        """A quantity of a joint in rad or m (per s, s²), `effort` in N m or
         N; None if not stated.
         """
         value = getattr(self, self.key(quantity))
-        if self.type == "prismatic" or quantity == "effort":
+        if self.type == "prismatic" or quantity == "effort" or value is None:
             return value
-        if isinstance(value, tuple):
-            return tuple(math.radians(v) for v in value)
-        return None if value is None else math.radians(value)
+        return tuple(map(math.radians, value)) if isinstance(value, tuple) else math.radians(value)
 
 
 class Motor(TomlTable, frozen=True):
@@ -210,29 +210,31 @@ class Motor(TomlTable, frozen=True):
     ] = None
 
     def __post_init__(self) -> None:
-        self.require(
-            (self.drive_gain is None) == (self.drive_gain_unit is None),
-            "drive_gain",
-            self.drive_gain,
-            "drive_gain and drive_gain_unit together, or neither",
-        )
-        self.require(
-            self.drive_gain is None or self.drive_gain > 0,
-            "drive_gain",
-            self.drive_gain,
-            "a positive number (signs belong to ratio or motor_matrix)",
-        )
-        self.require(
-            self.drive_gain_unit is not None or self.effort_unit is not None,
-            "effort_unit",
-            None,
-            "effort_unit (A, V, N m, N or %) where no drive gain is given",
-        )
-        self.require(
-            self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
-            "effort_unit",
-            self.effort_unit,
-            f"{self.recorded_unit!r}, as drive_gain_unit says",
+        self.require_all(
+            (
+                (self.drive_gain is None) == (self.drive_gain_unit is None),
+                "drive_gain",
+                self.drive_gain,
+                "drive_gain and drive_gain_unit together, or neither",
+            ),
+            (
+                self.drive_gain is None or self.drive_gain > 0,
+                "drive_gain",
+                self.drive_gain,
+                "a positive number (signs belong to ratio or motor_matrix)",
+            ),
+            (
+                self.drive_gain_unit is not None or self.effort_unit is not None,
+                "effort_unit",
+                None,
+                "effort_unit (A, V, N m, N or %) where no drive gain is given",
+            ),
+            (
+                self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
+                "effort_unit",
+                self.effort_unit,
+                f"{self.recorded_unit!r}, as drive_gain_unit says",
+            ),
         )
 
     @cached_property
@@ -245,11 +247,8 @@ class Motor(TomlTable, frozen=True):
         """Motor torque or force per unit of recorded effort; 1 if recorded as torque or
         force; None if unknown.
         """
-        return (
-            1.0
-            if self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
-            else self.drive_gain
-        )
+        is_torque = self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
+        return 1.0 if is_torque else self.drive_gain
 
 
 class RobotFile(TomlTable, frozen=True):
@@ -275,7 +274,8 @@ class RobotFile(TomlTable, frozen=True):
         bool, note("recordings carry the meshes of the URDF's visual shapes")
     ] = False
     motor_matrix: Annotated[
-        Matrix | None, note("R, in place of ratios: motor speed = R · joint speed")
+        tuple[tuple[float, ...], ...] | None,
+        note("R, in place of ratios: motor speed = R · joint speed"),
     ] = None
     identification: Annotated[Identification, note("settings of a fit that replace the rules")] = (
         Identification()
@@ -296,69 +296,72 @@ class RobotFile(TomlTable, frozen=True):
 
     def __post_init__(self) -> None:
         n = len(self.joint)
-        self.require(
-            len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"
-        )
         drives = n if self.bus is None else len(self.bus.drive)
-        self.require(drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}")
-        self.require(
-            not self.urdf_meshes or self.urdf is not None,
-            "urdf_meshes",
-            True,
-            "a urdf that refers to them",
+        names = {"joint": [j.name for j in self.joint], "motor": [m.name for m in self.motor]}
+        self.require_all(
+            (len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"),
+            (drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}"),
+            (
+                not self.urdf_meshes or self.urdf is not None,
+                "urdf_meshes",
+                True,
+                "a urdf that refers to them",
+            ),
+            (
+                self.payload.frame is None or self.urdf is not None,
+                "payload.frame",
+                self.payload.frame,
+                "a urdf with this link",
+            ),
+            *(
+                (name not in named[:i], f"{kind}[{i}].name", name, "a name not used before")
+                for kind, named in names.items()
+                for i, name in enumerate(named)
+            ),
         )
-        self.require(
-            self.payload.frame is None or self.urdf is not None,
-            "payload.frame",
-            self.payload.frame,
-            "a urdf with this link",
-        )
-        for kind, names in (
-            ("joint", [j.name for j in self.joint]),
-            ("motor", [m.name for m in self.motor]),
-        ):
-            for i, name in enumerate(names):
-                self.require(
-                    name not in names[:i], f"{kind}[{i}].name", name, "a name not used before"
-                )
         for i, joint in enumerate(self.joint):
-            self.require(
-                (joint.dh is None) != (self.urdf is None),
-                f"joint[{i}].dh",
-                joint.dh,
-                "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
-            )
-            # Not checked in the joint: one whose terms are chosen for a fit may
-            # still state the speed.
+            # Not in the joint: one whose terms are chosen for a fit may still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
-            self.require(
-                "stribeck" not in joint.terms or speed is not None,
-                key,
-                None,
-                "the speed at which Stribeck friction has decreased to 37 %",
-            )
-            self.require(
-                "stribeck" in joint.terms or speed is None,
-                key,
-                speed,
-                'the term "stribeck" in friction with it',
+            self.require_all(
+                (
+                    (joint.dh is None) != (self.urdf is None),
+                    f"joint[{i}].dh",
+                    joint.dh,
+                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
+                ),
+                (
+                    "stribeck" not in joint.terms or speed is not None,
+                    key,
+                    None,
+                    "the speed at which Stribeck friction has decreased to 37 %",
+                ),
+                (
+                    "stribeck" in joint.terms or speed is None,
+                    key,
+                    speed,
+                    'the term "stribeck" in friction with it',
+                ),
             )
         self._check_motors(n)
 
     def _check_motors(self, n: int) -> None:
-        for i, motor in enumerate(self.motor):
-            self.require(
-                motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
-                f"motor[{i}].ratio",
-                motor.ratio,
-                "a non-zero ratio, or motor_matrix for the whole robot, not both",
-            )
         unknown = [m.name for m in self.motor if m.gain is None]
-        self.require(
-            not 0 < len(unknown) < n,
-            "motor.drive_gain",
-            None,
-            f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+        self.require_all(
+            *(
+                (
+                    motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
+                    f"motor[{i}].ratio",
+                    motor.ratio,
+                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
+                )
+                for i, motor in enumerate(self.motor)
+            ),
+            (
+                not 0 < len(unknown) < n,
+                "motor.drive_gain",
+                None,
+                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+            ),
         )
         if self.motor_matrix is not None:
             self.require(
@@ -367,22 +370,25 @@ class RobotFile(TomlTable, frozen=True):
                 [len(row) for row in self.motor_matrix],
                 f"{n} rows of {n} numbers",
             )
-            self.require(
-                np.linalg.matrix_rank(np.array(self.motor_matrix)) >= n,
-                "motor_matrix",
-                self.motor_matrix,
-                "an invertible matrix",
-            )
-            for i, row in enumerate(self.motor_matrix):
+            self.require_all(
+                (
+                    np.linalg.matrix_rank(np.array(self.motor_matrix)) >= n,
+                    "motor_matrix",
+                    self.motor_matrix,
+                    "an invertible matrix",
+                ),
                 # names such as Ia2 and gains are by joint, so each joint needs its own motor
-                self.require(
-                    row[i] != 0,
-                    f"motor_matrix[{i}]",
-                    list(row),
-                    f"motor {i + 1} to turn joint {i + 1}: order the motors so",
-                )
-        for name in GAINS:
-            gains = getattr(self.controller, name)
+                *(
+                    (
+                        row[i] != 0,
+                        f"motor_matrix[{i}]",
+                        list(row),
+                        f"motor {i + 1} to turn joint {i + 1}: order the motors so",
+                    )
+                    for i, row in enumerate(self.motor_matrix)
+                ),
+            )
+        for name, gains in self.controller.gains.items():
             self.require(
                 gains is None or len(gains) == n,
                 f"controller.{name}",

@@ -76,13 +76,12 @@ class Drive:
         """Required raw values of objects of the drive, by index."""
         file = self.file
         torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
-        rated = {
-            cia.RATED_CURRENT: (file.rated_current_a, file.rated_current_unit),
-            cia.RATED_TORQUE: (torque, file.rated_torque_unit),
-        }
         return {
             index: round(value / cia.RATED_UNITS[unit])
-            for index, (value, unit) in rated.items()
+            for index, value, unit in (
+                (cia.RATED_CURRENT, file.rated_current_a, file.rated_current_unit),
+                (cia.RATED_TORQUE, torque, file.rated_torque_unit),
+            )
             if value is not None
         }
 
@@ -97,8 +96,14 @@ class Drive:
 
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""
-        pdos = self.tpdos if direction == "tpdo" else self.rpdos
-        return next((pdo for pdo in pdos if entry.key in [e.key for e in pdo.entries]), None)
+        return next(
+            (
+                pdo
+                for pdo in (self.tpdos if direction == "tpdo" else self.rpdos)
+                if entry.key in [e.key for e in pdo.entries]
+            ),
+            None,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,9 +202,10 @@ def refuse_pdos(bus: Bus, place: str) -> None:
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos))
     )
     for i, drive, way, pdos in ways:
-        mapping = f"(mapping = {drive.file.mapping!r})"
         for k, pdo in enumerate(pdos):
-            at = Location(f"{place}: bus.drive[{i}]: {way} {pdo.number} {mapping}")
+            at = Location(
+                f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {drive.file.mapping!r})"
+            )
             at.require(
                 pdo.number not in [other.number for other in pdos[:k]],
                 text=f"number = {pdo.number} is used twice",
@@ -284,17 +290,16 @@ def check_carriers(bus: Bus) -> None:
         at = Location(f"node {drive.node}")
         mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(drive.control), str(drive.target), mode}
-        for entry in (drive.control, drive.target):
+        for entry, way, words in (
+            (drive.control, "rpdo", "to the drive"),
+            (drive.target, "rpdo", "to the drive"),
+            (drive.status, "tpdo", "from it"),
+        ):
             at.require(
-                drive.carrier(entry, "rpdo") is not None,
-                text=f"no PDO to the drive carries {entry}",
+                drive.carrier(entry, way) is not None,
+                text=f"no PDO {words} carries {entry}",
                 expected="one to track",
             )
-        at.require(
-            drive.carrier(drive.status, "tpdo") is not None,
-            text=f"no PDO from it carries {drive.status}",
-            expected="one to track",
-        )
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
             at.refuse(
                 text=f"a PDO to the drive carries {other}",

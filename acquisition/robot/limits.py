@@ -192,8 +192,12 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Location) -> list[s
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
-    far = joint.type == "revolute" and np.abs(x).max() > 5 * max(-low, high)
-    if far and low <= math.radians(x.min()) and math.radians(x.max()) <= high:
+    if (
+        joint.type == "revolute"
+        and np.abs(x).max() > 5 * max(-low, high)
+        and low <= math.radians(x.min())
+        and math.radians(x.max()) <= high
+    ):
         causes = "are they degrees, declared as radians? Else a wrong ratio"
     place.refuse(
         text=text,

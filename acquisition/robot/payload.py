@@ -77,9 +77,9 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
         given = {
             "mass_kg": float(mass),
             "center_of_mass_m": [float(x) for x in center.split(",")] if at else None,
+            **({"center_half_width_m": float(half_width)} if within else {}),
         }
-        stated = {"center_half_width_m": float(half_width)} if within else {}
-        return msgspec.convert(msgspec.structs.asdict(robot.payload) | given | stated, Payload)
+        return msgspec.convert(msgspec.structs.asdict(robot.payload) | given, Payload)
     except ValueError as error:  # of msgspec too
         raise BadInputError(
             key=key,

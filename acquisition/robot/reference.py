@@ -38,10 +38,11 @@ class FourierReference:
         k = np.arange(1, self.sine.shape[1] + 1) * 2 * np.pi / self.period_s
         phase = np.outer(t_s, k)
         sin, cos = np.sin(phase), np.cos(phase)
-        q = self.center + sin @ self.sine.T + (cos - 1.0) @ self.cosine.T
-        dq = (cos * k) @ self.sine.T - (sin * k) @ self.cosine.T
-        ddq = -(sin * k**2) @ self.sine.T - (cos * k**2) @ self.cosine.T
-        return q, dq, ddq
+        return (
+            self.center + sin @ self.sine.T + (cos - 1.0) @ self.cosine.T,
+            (cos * k) @ self.sine.T - (sin * k) @ self.cosine.T,
+            -(sin * k**2) @ self.sine.T - (cos * k**2) @ self.cosine.T,
+        )
 
 
 def fourier_reference(
@@ -77,8 +78,10 @@ def fourier_reference(
     low, high = np.array([joint.si("position") for joint in robot.joints]).T
     scale = (high - low) / np.ptp(q, axis=0)
     for quantity, peak in (("speed", dq), ("acceleration", ddq)):
-        limits = [joint.si(quantity) or np.inf for joint in robot.joints]
-        scale = np.minimum(scale, limits / np.abs(peak).max(axis=0))
+        scale = np.minimum(
+            scale,
+            [joint.si(quantity) or np.inf for joint in robot.joints] / np.abs(peak).max(axis=0),
+        )
     scale *= share
     center = (low + high) / 2 - scale * (q.max(axis=0) + q.min(axis=0)) / 2
     sine, cosine = (x * scale[:, None] for x in (sine, cosine))
@@ -154,10 +157,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
         dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s
         ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
-        low, high = joint.si("position")
         speed, acceleration = joint.si("speed"), joint.si("acceleration")
         for name, values, bottom, top, per in (
-            ("position", q[:, i], low, high, ""),
+            ("position", q[:, i], *joint.si("position"), ""),
             ("speed", dq[:, i], -speed, speed, "/s"),
             ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):

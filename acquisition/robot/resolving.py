@@ -67,9 +67,11 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
     """
     ratios = [abs(r) for r in robot.R[i]]
     limits = [x.si(quantity) if r else 0.0 for r, x in zip(ratios, robot.joints, strict=True)]
-    if None in limits:
-        return None
-    return float(sum(r * limit for r, limit in zip(ratios, limits, strict=True)))
+    return (
+        None
+        if None in limits
+        else float(sum(r * limit for r, limit in zip(ratios, limits, strict=True)))
+    )
 
 
 def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:
@@ -183,8 +185,7 @@ def _drive(
             f": {index:04X}:{sub} {text}"
             for (index, sub), text in mapped.items()
             if isinstance(text, str) and 0x1800 <= index < 0x1C00
-        ]
-        reasons += [f": {confirmed.refused}"] if confirmed and confirmed.refused else [""]
+        ] + [f": {confirmed.refused}" if confirmed and confirmed.refused else ""]
         Location(place).refuse(
             text=f"{at.table}.mapping: no PDO from the drive carries {absent[0]}{reasons[0]}",
             expected=f"one ({file.mapping})",
@@ -236,15 +237,13 @@ def _pdos(
             None,
             "an identifier: only the first four PDOs have a usual one",
         )
-        pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
-        sizes = " + ".join(str(e.bits // 8) for e in entries)
+        pdos.append(cia.Pdo(number=number, can_id=can_id, entries=entries))
         at.require(
-            pdo.bits <= cia.MAX_PDO_BITS,
+            pdos[-1].bits <= cia.MAX_PDO_BITS,
             f"{way}[{k}].objects",
-            text=f"{sizes} = {pdo.length} bytes",
+            text=f"{' + '.join(str(e.bits // 8) for e in entries)} = {pdos[-1].length} bytes",
             expected="8 at most; use a second PDO",
         )
-        pdos.append(pdo)
     return tuple(pdos)
 
 
@@ -276,7 +275,7 @@ def _effort(
         None,
         f"the rated value that {name!r} multiplies",
     )
-    scale = float((file.effort_sign or file.sign) * rule.factor * rated)
+    sign = file.effort_sign or file.sign
     at.require(
         rule.unit == motor.recorded_unit,
         f"{word}_rule",
@@ -284,10 +283,11 @@ def _effort(
         f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
         text=f"gives {rule.unit}",
     )
-    provenance = (
-        f"object {entry} ({meaning if known else 'as described'})"
+    return cia.EffortCodec(
+        entry=entry,
+        scale=float(sign * rule.factor * rated),
+        provenance=f"object {entry} ({meaning if known else 'as described'})"
         f"{'' if word == 'reference' else ', the actual value instead of the reference'}"
         f", raw {entry.type} in {name}{f' x {rated:g} ({rule.rated})' if rule.rated else ''}"
-        f", sign {file.effort_sign or file.sign:+d}"
+        f", sign {sign:+d}",
     )
-    return cia.EffortCodec(entry=entry, scale=scale, provenance=provenance)

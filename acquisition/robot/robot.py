@@ -126,11 +126,11 @@ class Robot:
     @cached_property
     def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
-        if self.identified_gain is not None:
-            return self.identified_gain
-        return np.broadcast_to(  # read-only
-            [1.0 if m.gain is None else m.gain for m in self.motors], self.n
-        )
+        return (
+            np.broadcast_to([1.0 if m.gain is None else m.gain for m in self.motors], self.n)
+            if self.identified_gain is None
+            else self.identified_gain
+        )  # read-only
 
     @cached_property
     def saturation(self) -> Array:
@@ -142,9 +142,11 @@ class Robot:
     @cached_property
     def effort_units(self) -> tuple[str, ...]:
         """Unit of each joint's effort: N m or N if the drive gains are known, else A or V."""
-        if self.gain_known:
-            return tuple("N m" if j.type == "revolute" else "N" for j in self.joints)
-        return tuple(m.recorded_unit for m in self.motors)
+        return (
+            tuple("N m" if j.type == "revolute" else "N" for j in self.joints)
+            if self.gain_known
+            else tuple(m.recorded_unit for m in self.motors)
+        )
 
     def joint_position(self, q_motor: Array) -> Array:
         """Joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor + zero."""
@@ -194,8 +196,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     path = Path(path)
     place = Location(str(path))
     files = {"robot.toml": read_bytes(path)}
-    begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
-    text, way_out = _OTHER_FILES.get(begin, ("", ""))
+    text, way_out = _OTHER_FILES.get(
+        files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1], ("", "")
+    )
     place.require(not text, text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
@@ -275,9 +278,10 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
     f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
-        controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
         try:
-            f = msgspec.structs.replace(f, controller=controller)
+            f = msgspec.structs.replace(
+                f, controller=parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
+            )
         except InvalidValueError as refusal:
             at.refuse(*refusal.args)
     urdf = None

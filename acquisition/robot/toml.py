@@ -43,6 +43,11 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if not holds:
             raise InvalidValueError(key, value, expected)
 
+    def require_all(self, *rules: tuple[object, str, object, str]) -> None:
+        """Require several conditions, in order: each with key, value and what is expected."""
+        for rule in rules:
+            self.require(*rule)
+
 
 class InvalidValueError(ValueError):
     """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds
@@ -72,36 +77,32 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
         message, path = (message, where[:-1].lstrip(".")) if message else (str(error), "")
         if isinstance(error.__cause__, InvalidValueError):
             file.at(path).refuse(*error.__cause__.args)
-        problem, expected = message, ""
         if message.startswith("Invalid enum value"):
-            problem, expected = "", f"one of {', '.join(map(repr, _choices(kind, path)))}"
-        elif message.startswith("Expected "):
-            problem, expected = "", message.removeprefix("Expected ")
+            message = f"Expected one of {', '.join(map(repr, _choices(kind, path)))}"
+        expected = message.removeprefix("Expected ") if message.startswith("Expected ") else ""
         value = _value_at(data, path)
         found = {} if value is None or isinstance(value, dict | list) else {"value": value}
-        file.refuse(path or "top level", text=problem, expected=expected, **found)
+        file.refuse(
+            path or "top level", text="" if expected else message, expected=expected, **found
+        )
 
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The words that `kind` allows at `path`."""
     at = _without_note(msgspec.inspect.type_info(kind))
     for step in re.findall(r"\w+|\[[^]]*\]", path):
-        # the list for an item of it, else the first type
         if isinstance(at, msgspec.inspect.UnionType):
-            lists = [
-                t
-                for t in at.types
-                if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")
-            ]
-            at = (
-                lists[0]
-                if lists
-                else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+            types = (t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+            # the list for an item of it, else the first type
+            at = max(
+                types,
+                key=lambda t: step.startswith("[") and isinstance(t, msgspec.inspect.VarTupleType),
             )
-        if isinstance(at, msgspec.inspect.VarTupleType):
-            at = _without_note(at.item_type)
-        elif isinstance(at, msgspec.inspect.StructType):
-            at = _without_note(next(field.type for field in at.fields if field.encode_name == step))
+        match at:
+            case msgspec.inspect.VarTupleType():
+                at = _without_note(at.item_type)
+            case msgspec.inspect.StructType():
+                at = _without_note(next(x.type for x in at.fields if x.encode_name == step))
     if isinstance(at, msgspec.inspect.UnionType):
         at = next((t for t in at.types if isinstance(t, msgspec.inspect.LiteralType)), at)
     return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()

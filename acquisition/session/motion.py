@@ -192,39 +192,28 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
     q, file = motion.measured[-1], master.bus.file
     before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None
     dq = None if before is None else (q - before) / (SPEED_SYNCS * file.sync_period_s)
+    enabling = {
+        "revolute": float(np.radians(file.enable_motion_deg)),
+        "prismatic": file.enable_motion_m,
+    }
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         if not low <= q[i] <= high:
             return _limit_fault(
                 joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}"
             )
-        largest = (
-            float(np.radians(file.enable_motion_deg))
-            if joint.type == "revolute"
-            else file.enable_motion_m
-        )
-        if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
-            return _limit_fault(
-                joint,
-                "motion while drives were enabled",
-                q[i] - motion.start[i],
-                joint.position_unit,
-                f"{largest:.4g} at most",
-            )
-        largest = joint.si("following_error")
-        if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
-            return _limit_fault(
-                joint,
-                "following error",
-                abs(q[i] - motion.target[i]),
-                joint.position_unit,
-                f"{largest:.4g} at most",
-            )
-        largest = joint.si("speed")
-        if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
-            return _limit_fault(
-                joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most"
-            )
+        moved = q[i] - motion.start[i] if motion.enabling and motion.start is not None else 0.0
+        behind = abs(q[i] - motion.target[i]) if motion.target is not None else 0.0
+        speed = abs(dq[i]) if dq is not None else 0.0
+        for key, value, largest, margin, per in (
+            ("motion while drives were enabled", moved, enabling[joint.type], 1.0, ""),
+            ("following error", behind, joint.si("following_error"), 1.0, ""),
+            ("speed", speed, joint.si("speed"), SPEED_MARGIN, "/s"),
+        ):
+            if abs(value) > margin * largest:
+                return _limit_fault(
+                    joint, key, value, f"{joint.position_unit}{per}", f"{largest:.4g} at most"
+                )
     return None
 
 

@@ -14,7 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -187,12 +187,10 @@ def run(
             payload=payload,
         )
         receiver = None if bus is None else Receiver(bus)
-        try:
+        with closing(recorder):
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)
             watchdog = Watchdog(watched, resolve(robot, place)) if role is Role.GUARD else None
             done = _record(connection, recorder, receiver, ours, watchdog)
-        finally:
-            recorder.close()
         connection.send(("done", done))
     except (RobotIdimError, OSError) as error:
         with suppress(OSError):
@@ -214,8 +212,13 @@ def _master_ids(robot: Robot, place: str) -> Ints:
     session is this program.
     """
     bus = resolve(robot, place)
-    sync = [bus.file.sync_can_id] if bus.file.sync_producer == "recorder" else []
-    return np.array([HEARTBEAT + bus.file.master_node, *sync, *command_ids(bus)])
+    return np.array(
+        [
+            HEARTBEAT + bus.file.master_node,
+            *([bus.file.sync_can_id] if bus.file.sync_producer == "recorder" else []),
+            *command_ids(bus),
+        ]
+    )
 
 
 def _record(
@@ -235,22 +238,22 @@ def _record(
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
-                message = connection.recv()
-                if message[0] == "event":
-                    recorder.event(*message[1:])
-                elif message[0] == "clock":
-                    clock = WallClock(offset_ns=message[1])
-                elif message[0] == "frames":
-                    block = np.frombuffer(message[1], FRAME).copy()
-                    _note_step(recorder, clock)
-                    # frames sent have the session's time already
-                    received = (block["flags"] & SENT) == 0
-                    block["time_ns"][received] = clock.continued(block["time_ns"][received])
-                    recorder.add(block)
-                elif message[0] == "granted":
-                    recorder.granted = message[1]
-                elif message[0] == "stop":
-                    stop_ns = message[1]
+                match connection.recv():
+                    case "event", stamp_ns, kind, text:
+                        recorder.event(stamp_ns, kind, text)
+                    case "clock", offset_ns:
+                        clock = WallClock(offset_ns=offset_ns)
+                    case "frames", data:
+                        block = np.frombuffer(data, FRAME).copy()
+                        _note_step(recorder, clock)
+                        # frames sent have the session's time already
+                        received = (block["flags"] & SENT) == 0
+                        block["time_ns"][received] = clock.continued(block["time_ns"][received])
+                        recorder.add(block)
+                    case "granted", counters:
+                        recorder.granted = counters
+                    case "stop", asked_ns:
+                        stop_ns = asked_ns
         except (EOFError, OSError):
             if not gone:
                 recorder.event(clock.now_ns(), "fault", "the session's process is gone")
@@ -263,10 +266,9 @@ def _record(
             while watchdog.events:
                 stamp_ns, kind, text = watchdog.events.popleft()
                 recorder.event(stamp_ns - clock.shift_ns, kind, text)
-        if receiver is not None:
+        if receiver is not None and thread is not None:
             if stop_ns is not None:
                 receiver.stopped = True
-                assert thread is not None
                 thread.join(2 * Receiver.DRAIN_S)
             block = receiver.take()
             _note_step(recorder, clock)

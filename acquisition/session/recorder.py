@@ -9,11 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .. import recording
-from ..errors import BadInputError
+from ..errors import BadInputError, Location
 from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
@@ -57,12 +58,11 @@ def refuse_taken(path: Path) -> None:
     cannot be written.
     """
     taken = path.exists()
-    if taken or not os.access(f"{path.absolute().parent}/", os.W_OK):
-        raise BadInputError(
-            "already exists" if taken else "cannot be written",
-            place=str(path),
-            expected="a new name in a folder that is there; recordings are not replaced",
-        )
+    Location(str(path)).require(
+        not taken and os.access(f"{path.absolute().parent}/", os.W_OK),
+        text="already exists" if taken else "cannot be written",
+        expected="a new name in a folder that is there; recordings are not replaced",
+    )
 
 
 class Recorder:
@@ -109,8 +109,7 @@ class Recorder:
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
-        self._fd_frames = 0
-        self._ends, self._is_empty = "", True
+        self._fd_frames, self._ends, self._is_empty = 0, "", True
 
     def add(self, block: recording.Block) -> None:
         """Write frames in the order of reception; programs that follow the file see them at once.
@@ -154,24 +153,24 @@ class Recorder:
         return status
 
     def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
-        last = self._status
-        low, high, losses = last.lowest, last.highest, last.losses
+        last, found = self._status, dict[str, Any]()
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 recent, self._bus = recording.resolve_mapped(recent, self._robot, self._place)
             decoded = recording.decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
-            low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
-            high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
-            losses = {word: n + int(decoded.counters[word]) for word, n in losses.items()}
-        return Status(
+            found = {
+                "lowest": tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist()),
+                "highest": tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist()),
+                "losses": {k: n + int(decoded.counters[k]) for k, n in last.losses.items()},
+            }
+        return replace(
+            last,
             frames=last.frames + len(recent),
             rate_hz=len(recent) / max(elapsed_s, 1e-3),
             drops=drops,
-            losses=losses,
-            lowest=low,
-            highest=high,
             ends=self._ends,
+            **found,
         )
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
@@ -179,8 +178,8 @@ class Recorder:
         self._writer.flush()
         self._watch_file()
         # by its descriptor, as the file may have been renamed
-        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}")).frames
-        frames = written.get(self.channel, np.zeros(0, recording.FRAME))
+        written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}"))
+        frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"
@@ -236,13 +235,16 @@ def write_decoded(
 
 def _table(bus: Bus) -> dict[str, str]:
     """PDO table and raw rated values, for the metadata."""
-    pdos = [
-        f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"
-        for d in bus.drives
-        for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
-        for p in found
-    ]
-    rated = [
-        f"node {d.node} {index:04X} = {raw}" for d in bus.drives for index, raw in d.rated.items()
-    ]
-    return {"pdo_table": "; ".join(pdos), "rated_raw": "; ".join(rated)}
+    return {
+        "pdo_table": "; ".join(
+            f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"
+            for d in bus.drives
+            for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
+            for p in found
+        ),
+        "rated_raw": "; ".join(
+            f"node {d.node} {index:04X} = {raw}"
+            for d in bus.drives
+            for index, raw in d.rated.items()
+        ),
+    }

@@ -145,12 +145,9 @@ def record(
 def _left_shown(task: Task, period_s: float, started_ns: int, operator: UserInterface) -> OnStatus:
     """Show each status with the seconds that are left of the task."""
     whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
-
-    def show(status: Status, now_ns: int) -> None:
-        left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
-        operator.show(status, left_s)
-
-    return show
+    return lambda status, now_ns: operator.show(
+        status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
+    )
 
 
 def _task_of(
@@ -194,14 +191,17 @@ def _simulated(
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
-    recorder = Recorder(
-        out,
-        describe_loops(robot, mechanism.loops),
-        source="dry run on simulated drives",
-        place=place,
-        payload=payload,
-    )
-    with closing(InlineLog(recorder)) as log:
+    with closing(
+        InlineLog(
+            Recorder(
+                out,
+                describe_loops(robot, mechanism.loops),
+                source="dry run on simulated drives",
+                place=place,
+                payload=payload,
+            )
+        )
+    ) as log:
         link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
             log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
@@ -237,16 +237,17 @@ def _before_motion(
         refuse_unsupervised(master)
     confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
     jitter = refuse_jitter(master)
-    marks = [
+    return [
         f"confirmed: {', '.join(confirmed)}",
         f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
         "motion",
+        *([f"{options.track} at {options.speed:g} of its speed"] if options.speed != 1 else []),
+        *(
+            [f"second stop: {second_stop(master.bus.file)}"]
+            if master.bus.file.interface not in SHARED
+            else []
+        ),
     ]
-    if options.speed != 1:
-        marks.append(f"{options.track} at {options.speed:g} of its speed")
-    if master.bus.file.interface not in SHARED:
-        marks.append(f"second stop: {second_stop(master.bus.file)}")
-    return marks
 
 
 def _listen(
@@ -275,8 +276,7 @@ def _listen(
                     operator.show(
                         status, None if task.duration_s is None else task.duration_s - elapsed_s
                     )
-                    stop.reason = stop.reason or status.ends
-                    cut_short = bool(status.ends)
+                    stop.reason, cut_short = stop.reason or status.ends, bool(status.ends)
                 time.sleep(0.02)
         except RobotIdimError as error:
             with suppress(RobotIdimError):
@@ -345,12 +345,12 @@ def replay(
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
-                sent = f"{count} frames were" if count else "nothing was"
                 raise RefusedError(
                     f"{service_of(frame, described.sync_can_id)} received",
                     what="sending",
                     place=f"{file.interface} {file.channel}",
-                    expected=f"an idle bus; {sent} sent",
+                    expected="an idle bus; "
+                    f"{f'{count} frames were' if count else 'nothing was'} sent",
                 )
             if left_s <= 0:
                 return

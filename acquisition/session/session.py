@@ -152,24 +152,17 @@ class _Session:
     def __init__(
         self, robot: Robot, master: bus.Master, log: SessionLog, task: Task, stop: Stop
     ) -> None:
-        self._robot, self._master, self._log, self._task, self._stop = (
-            robot,
-            master,
-            log,
-            task,
-            stop,
-        )
-        self._link, self._bus = master.link, master.bus
+        self._robot, self._log, self._task, self._stop = robot, log, task, stop
+        self._master, self._link, self._bus = master, master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
-        self._pace = Pace(master)
-        self._heartbeat = bus.MasterHeartbeat(master)
+        self._pace, self._heartbeat = Pace(master), bus.MasterHeartbeat(master)
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
         self._noted: set[str] = set()  # texts of warnings that were recorded
         self._in_fault: list[int] = []  # nodes found in fault before motion
-        self._started = False
-        self.addressed = False  # whether anything was commanded or written to the drives
+        # whether the drives were started; whether anything was commanded or written to them
+        self._started = self.addressed = False
         self.cut_short = task.reference is not None  # until it has been followed
         self.held = HeldBack()  # what is raised while the drives are stopped
 
@@ -326,10 +319,12 @@ class _Session:
             if self._stop.reason:
                 return
             yield order
-        held = itertools.repeat(
-            _enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s)
+        yield from itertools.takewhile(
+            lambda _: not self._stop.reason,
+            itertools.repeat(
+                _enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s)
+            ),
         )
-        yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[bus.Orders]:

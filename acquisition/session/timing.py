@@ -39,8 +39,7 @@ class Pace:
         file = master.bus.file
         self._master, self._link, self._period_ns = master, master.link, master.bus.period_ns
         self._ours = file.sync_producer == "recorder"
-        self._latest_ns = round(largest_delay_s(file) * 1e9)
-        self.next_ns = 0
+        self._latest_ns, self.next_ns = round(largest_delay_s(file) * 1e9), 0
 
     def start(self) -> None:
         """Schedule the first SYNC one period from now."""
@@ -109,8 +108,7 @@ def real_time_scheduling() -> Iterator[dict[str, float]]:
     """Real-time scheduling, locked memory, no garbage collection inside the block where permitted;
     yields what was granted, as counters of `/health`.
     """
-    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
-    collected = gc.isenabled()
+    policy, parameter, collected = os.sched_getscheduler(0), os.sched_getparam(0), gc.isenabled()
     gc.collect()
     gc.disable()
     # With a limit of locked memory, allocations beyond it would fail in the middle of a session.

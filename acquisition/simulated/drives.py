@@ -64,9 +64,8 @@ class SimulatedDrives:
             for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or driven_plant(robot, bus)
-        self.bus, self.plant = bus, mechanism.plant
-        self._robot, self._loops = robot, mechanism.loops
-        self._period_s = bus.file.sync_period_s
+        self.bus, self.plant, self._loops = bus, mechanism.plant, mechanism.loops
+        self._robot, self._period_s = robot, bus.file.sync_period_s
         codecs = [drive.position_codec for drive in bus.drives]
         self._positions = cia.PositionCodec(
             counts_per_unit=np.array([c.counts_per_unit for c in codecs]),
@@ -122,9 +121,9 @@ class SimulatedDrives:
 
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
-        times = [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
-        times += [
-            due for supervision in self._supervisions if (due := supervision.due_ns()) is not None
+        times = [
+            *(t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)),
+            *(due for one in self._supervisions if (due := one.due_ns()) is not None),
         ]
         return min(times, default=None)
 
@@ -149,7 +148,7 @@ class SimulatedDrives:
 
     def _sync(self, now_ns: int) -> Sent:
         for supervision in self._supervisions:
-            supervision.sync(now_ns)
+            supervision.sync_ns = now_ns
         self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)
@@ -216,12 +215,13 @@ class SimulatedDrives:
             error, ahead = start + way - position, loops.feedforward * speed / T
             x = loops.position_share * error - (1 - loops.feedforward) * dq
             self._integral = np.where(enabled, self._integral + x * T / SUBSTEPS, 0.0)
-            demand = (
+            demand = np.where(
+                enabled,
                 loops.position * error
                 + loops.velocity * (ahead - dq)
-                + loops.integral * self._integral
+                + loops.integral * self._integral,
+                0.0,
             )
-            demand = np.where(enabled, demand, 0.0)
             self._actual = demand + (self._actual - demand) * decay
             self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
             total = total + self._actual

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ..arrays import Array, Bools
-from ..errors import BadInputError, Location
+from ..errors import Location
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
@@ -106,8 +106,11 @@ def typical_plant(
 
 def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
     """Inertias (n,) at the joints: half the rated effort gives the stated acceleration."""
-    acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
-    return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
+    return np.asarray(
+        0.5
+        * np.abs(robot.joint_effort(rated_motor_effort[None])[0])
+        / [j.si("acceleration") or 10.0 for j in robot.joints]
+    )
 
 
 def middle_of_range(robot: Robot) -> Array:
@@ -121,8 +124,9 @@ class TablePlant:
     """Replays joint samples, one row per period; the drives' loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
-        if len(samples) == 0:
-            raise BadInputError("the table to replay holds no samples", expected="some")
+        Location("").require(
+            len(samples), text="the table to replay holds no samples", expected="some"
+        )
         self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
 
     @property
@@ -175,9 +179,11 @@ def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
-    position, integral = 2 * w * velocity, w**2 * velocity
     return LoopGains(
-        position=position, velocity=velocity, integral=integral, position_share=np.ones(robot.n)
+        position=2 * w * velocity,
+        velocity=velocity,
+        integral=w**2 * velocity,
+        position_share=np.ones(robot.n),
     )
 
 
@@ -207,8 +213,10 @@ def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array
     """
     # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
-    speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
-    return share * (travel + rest * (rest * a - share * b)), speed
+    return (
+        share * (travel + rest * (rest * a - share * b)),
+        travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b,
+    )
 
 
 GROUP = "robot_idim.plants"

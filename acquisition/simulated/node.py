@@ -66,8 +66,7 @@ class SimulatedNode:
         """
         last = {(0x1001, 0): 1, (0x1003, 1): code, (0x603F, 0): code}
         self.values |= {key: value for key, value in last.items() if key in self.values}
-        data = code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0])
-        return [(cia.EMERGENCY + self.drive.node, data)]
+        return [(cia.EMERGENCY + self.drive.node, code.to_bytes(2, "little") + b"\1\0\0\0\0\0")]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
         """The answers to a frame other than SYNC."""
@@ -183,12 +182,11 @@ class SimulatedNode:
         return ""
 
     def _map(self) -> None:
-        place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
         self.tpdos, self.rpdos = (
             tuple(
                 pdo
-                for pdo in cia.pdos_of(way, self.values, known, place)
+                for pdo in cia.pdos_of(way, self.values, known, f"node {self.drive.node}")
                 if pdo.bits <= cia.MAX_PDO_BITS and pdo.can_id < 0x800
             )
             for way in cia.PARAMETERS
@@ -206,10 +204,12 @@ def _units_and_limits(drive: Drive) -> dict[Key, int]:
     """
     per_turn = Fraction(drive.file.counts_per_turn or 0).limit_denominator(1000)
     position, velocity, motor_speed = cia.MOTION_LIMITS
-    texts = zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
     values = {
         (cia.SUPPORTED_MODES, 0): 1 << cia.Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
-        **{(index, 0): int.from_bytes(text, "little") for index, text in texts},
+        **{
+            (index, 0): int.from_bytes(text, "little")  # of four bytes: in one frame
+            for index, text in zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)
+        },
     }
     speeds = {velocity: drive.motion.speed or 0.0}
     if per_turn:
@@ -241,18 +241,26 @@ def simulated_node(drive: Drive) -> SimulatedNode:
             ):
                 values[index, sub] = value | cia.NOT_VALID
     else:
-        named = drive.status, drive.control, drive.position, drive.target, drive.effort.entry
         types = (
             dict(cia.STANDARD)
-            | {entry.key: entry.type for entry in (*named, *drive.extras)}
+            | {
+                entry.key: entry.type
+                for entry in (
+                    *(drive.status, drive.control, drive.position, drive.target),
+                    *(drive.effort.entry, *drive.extras),
+                )
+            }
             | {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
             | _entries_of(cia.IDENTITY, 4)
             | _entries_of(cia.CONSUMER_HEARTBEAT, CONSUMERS)
         )
         for communication, mapping in cia.PARAMETERS.values():
             for k in range(4):
-                types |= _entries_of(communication + k, 1) | {(communication + k, 2): "U8"}
-                types |= _entries_of(mapping + k, 8)
+                types |= {
+                    **_entries_of(communication + k, 1),
+                    (communication + k, 2): "U8",
+                    **_entries_of(mapping + k, 8),
+                }
         stated = _units_and_limits(drive)
         types |= dict.fromkeys(stated.keys() - types, "U32")
         # CiA 402: fault signal; off; quick stop ramp.
@@ -308,11 +316,7 @@ class Supervision:
             node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
         # By sub-index of 1016h: its entry at the last heartbeat, and the time of that heartbeat.
         self._heard: dict[int, tuple[int, int]] = {}
-        self._sync_ns: int | None = None
-
-    def sync(self, now_ns: int) -> None:
-        """Note the time of a SYNC."""
-        self._sync_ns = now_ns
+        self.sync_ns: int | None = None  # time of the last SYNC
 
     def follow(self, counts: float) -> Sent:
         """React to a following error in counts; the emergency message if it is too large."""
@@ -350,7 +354,7 @@ class Supervision:
     @property
     def _sync_lost_ns(self) -> int | None:
         supervised = self._watches_sync and self._node.state not in cia.DISABLED
-        return None if self._sync_ns is None or not supervised else self._sync_ns + SYNC_LOST_NS
+        return None if self.sync_ns is None or not supervised else self.sync_ns + SYNC_LOST_NS
 
     def _entries(self) -> dict[int, int]:
         values = self._node.values

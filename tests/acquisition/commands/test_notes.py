@@ -17,7 +17,7 @@ from conftest import ROOT
 from made_up_buses import bus_text, robot_of
 
 from acquisition.commands import main
-from acquisition.commands.terminal import MAX_NOTE_BYTES, Notes, StatusLine
+from acquisition.commands.record import MAX_NOTE_BYTES, Notes, StatusLine
 from acquisition.errors import RobotIdimError
 from acquisition.recording import read_recording
 from acquisition.session import Recorder

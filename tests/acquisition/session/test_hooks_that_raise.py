@@ -17,7 +17,7 @@ from made_up_buses import bus_text, robot_of
 import acquisition.bus.stopping as stopping
 from acquisition.bus import Frame, block_of, safe_stop, stop_drives
 from acquisition.commands import main
-from acquisition.commands.terminal import StatusLine
+from acquisition.commands.record import StatusLine
 from acquisition.errors import BusFaultError, HeldBack
 from acquisition.protocol import Command, State
 from acquisition.recording import read_recording

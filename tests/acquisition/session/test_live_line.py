@@ -19,8 +19,7 @@ from made_up_buses import bus_text, robot_of
 
 import acquisition.session.running as running
 from acquisition.bus import Frame
-from acquisition.commands.record import live_line
-from acquisition.commands.terminal import StatusLine
+from acquisition.commands.record import StatusLine, live_line
 from acquisition.errors import BusFaultError
 from acquisition.recording import read_recording
 from acquisition.robot import Robot
