@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -250,6 +251,7 @@ def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> f
     return raw * float(2 * np.pi / 60 * codec.counts_per_unit if unit else 1.0)
 
 
+@cache
 def range_of(kind: str) -> tuple[int, int]:
     """Lowest and highest integer of a type."""
     low = 0 if kind[0] == "U" else -(2 ** (BITS[kind] - 1))
@@ -263,7 +265,8 @@ def signed(raw: int, bits: int) -> int:
 
 def saturated(value: Array, kind: str) -> Ints:
     """Nearest integers that the type `kind` can hold."""
-    return np.rint(np.clip(value, *range_of(kind))).astype(np.int64)
+    low, high = range_of(kind)
+    return np.rint(np.minimum(np.maximum(value, low), high)).astype(np.int64)
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:

@@ -303,10 +303,11 @@ class LockStepLink:
     def receive(self, until_ns: int) -> Frame | None:
         """The next frame, None when there is none until `until_ns`."""
         while not self._from_drives:
-            due_ns = self.drives.due_ns()
             if self._to_drives:
                 self._from_drives += self.drives.receive(self._time_ns, *self._to_drives.popleft())
-            elif due_ns is not None and due_ns <= self._time_ns:
+                continue
+            due_ns = self.drives.due_ns()
+            if due_ns is not None and due_ns <= self._time_ns:
                 self._from_drives += self.drives.advance(self._time_ns)
             elif self._time_ns >= until_ns:
                 return None

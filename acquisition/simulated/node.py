@@ -368,9 +368,11 @@ class Supervision:
         """Time at which each consumer times out; a rewritten entry starts
         with the next heartbeat.
         """
-        entries = self._entries()
+        values = self._node.values
         self._heard = {
-            sub: heard for sub, heard in self._heard.items() if entries.get(sub) == heard[0]
+            sub: heard
+            for sub, heard in self._heard.items()
+            if values.get((cia.CONSUMER_HEARTBEAT, sub)) == heard[0]
         }
         return {
             sub: then_ns + (entry & 0xFFFF) * 1_000_000
