@@ -6,7 +6,7 @@ are coal's, by pinocchio.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -54,17 +54,19 @@ class Obstacles:
         """(N, P) distances in m of the pairs at the positions q (N, n),
         negative where shapes overlap.
         """
-        data, shapes = self.model.createData(), pin.GeometryData(self.geometry)
-        found = np.empty((len(q), len(self.geometry.collisionPairs)))
-        for k, qk in enumerate(np.ascontiguousarray(q)):
-            pin.computeDistances(self.model, data, self.geometry, shapes, qk)
-            found[k] = [result.min_distance for result in shapes.distanceResults]
-        return found
+        return np.array([[one.min_distance for one in found] for _, found in self._along(q)])
 
     def nearest(self, q: Array) -> tuple[float, str]:
         """The smallest distance in m along the positions q (N, n), and the name of its pair."""
-        apart = self.distances(q).min(axis=0)
-        return float(apart.min()), self.names[int(apart.argmin())]
+        apart, pair = min((found[k].min_distance, k) for k, found in self._along(q))
+        return float(apart), self.names[pair]
+
+    def _along(self, q: Array) -> Iterator[tuple[int, Any]]:
+        """The nearest pair and coal's results of all pairs, at each of the positions q (N, n)."""
+        data, shapes = self.model.createData(), pin.GeometryData(self.geometry)
+        for qk in np.ascontiguousarray(q):
+            nearest = pin.computeDistances(self.model, data, self.geometry, shapes, qk)
+            yield nearest, shapes.distanceResults
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles:
