@@ -36,6 +36,7 @@ def test_six_commands_export_true_models(tmp_path, monkeypatch, capsys):
             assert programs[program].main(arguments) == 0, command
         else:
             subprocess.run([program, *arguments], check=True)
+    assert json.loads(Path("fit.json").read_text())["verdict"] == "trust"
     assert mujoco.MjModel.from_xml_path("new.xml").nv == 6
     robot, exported = (load_robot(Path(name)) for name in ("robot.toml", "new.toml"))
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]

@@ -11,6 +11,7 @@ from identification import read_fit, read_robot
 from identification.report import write_json
 
 SCARA, SESSION = REPLAY / "scara" / "robot.toml", REPLAY / "scara" / "session.mcap"
+AXIS = REPLAY / "emps" / "session.mcap"
 FIT, FITS = REPLAY / "scara" / "fit.json", REPLAY / "tx40" / "fit.json"
 # Programs with a command, and its options that name an output.
 OUTPUTS = [
@@ -71,7 +72,7 @@ def test_output_keeps_file_of_other_kind(program, command, options, tmp_path, mo
         (IDENTIFY, f"export {FITS} --urdf out --mjcf out.xml --toml out.txt"),
         (IDENTIFY, f"simulate {SCARA} -o out --duration-s 1 --overwrite"),
         (IDENTIFY, f"view {SESSION} -o out"),
-        (IDENTIFY, f"friction {SESSION} --report out.md"),
+        (IDENTIFY, f"friction {AXIS} --report out.md"),
         (ACQUIRE, f"info {SESSION} --csv out"),
     ],
     ids=lambda x: str(x)[:9],

@@ -87,9 +87,9 @@ def test_demo_runs_from_bus_to_plot(capsys, tmp_path):
 def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
     """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg.
 
-    Sessions of a third.
+    Sessions of a quarter.
     """
-    monkeypatch.setattr(simulated_cell, "DURATION_S", 4.0)
+    monkeypatch.setattr(simulated_cell, "DURATION_S", 3.0)
     assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 40
