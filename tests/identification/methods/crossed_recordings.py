@@ -86,9 +86,13 @@ def recorded(
 
 
 def written(
-    folder: Path, concerns: frozenset[str], columns: frozenset[str], duration_s: float = 4.0
+    folder: Path,
+    concerns: frozenset[str],
+    columns: frozenset[str],
+    duration_s: float = 4.0,
+    count: int = 2,
 ) -> list[Path]:
-    paths = [folder / f"r{seed}.mcap" for seed in (1, 2)]
+    paths = [folder / f"r{seed}.mcap" for seed in range(1, count + 1)]
     for seed, path in enumerate(paths, 1):
         write_signals(path, recorded(concerns, columns, seed, duration_s), source="test")
     return paths

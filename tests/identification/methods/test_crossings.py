@@ -83,7 +83,7 @@ def test_two_workers_fit_long_recordings_alike(count, concerns, columns, tmp_pat
     monkeypatch.setattr("identification.methods.model.MAX_HELD", 100)
     run, ran = Work.run, list[int]()
     monkeypatch.setattr(Work, "run", lambda *of: ran.append(of[0].workers) or run(*of))
-    paths = written(tmp_path, concerns := frozenset(concerns), frozenset(columns), 25.0)[:count]
+    paths = written(tmp_path, concerns := frozenset(concerns), frozenset(columns), 25.0, count)
     fit, other = (fitted(paths, concerns, Work(n), decimation=1) for n in (1, 2))
     assert len(fit.data.observed.tau) / count > system.SHORT
     assert len(problem.row_blocks(fit.problem)) > 16 * (2 - count)  # more than are sent at once
@@ -95,7 +95,7 @@ def test_two_workers_fit_long_recordings_alike(count, concerns, columns, tmp_pat
 
 @pytest.mark.parametrize(
     ("concerns", "tracked", "block", "tolerance"),
-    [(CONCERNS, 20, None, 1e-9), (CONCERNS, 0, 20_000, 0.01), (["load"], 20, 20_000, 1e-9)],
+    [(CONCERNS, 20, None, 1e-9), (CONCERNS, 0, 12_000, 0.01), (["load"], 20, 12_000, 1e-9)],
 )
 def test_long_recordings_fitted_like_short(
     concerns, tracked, block, tolerance, tmp_path, monkeypatch
@@ -105,10 +105,10 @@ def test_long_recordings_fitted_like_short(
     of which do not show a lag; and by least squares without a reference.
     """
     monkeypatch.setattr(TRACKED, tracked)
-    monkeypatch.setattr(system, "FINE_SPANS", 24)
-    monkeypatch.setattr(system, "SPANS", 24)
+    monkeypatch.setattr(system, "FINE_SPANS", 14)
+    monkeypatch.setattr(system, "SPANS", 14)
     columns = frozenset(COLUMNS if concerns is CONCERNS else ())
-    paths = written(tmp_path, concerns := frozenset(concerns), columns, 10.0)
+    paths = written(tmp_path, concerns := frozenset(concerns), columns, 6.0)
     short = fitted(paths, concerns, Work(), decimation=2)
     monkeypatch.setattr(system, "SHORT", 0)
     monkeypatch.setattr(problem, "_SERIES_BLOCK", block or problem._SERIES_BLOCK)
