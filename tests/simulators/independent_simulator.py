@@ -271,21 +271,22 @@ def step(
     """
     M, bias = plant.inertia_and_bias(q + 0.5 * h * v, middle_v)
     inverse, d = np.linalg.inv(M), h / substeps
-    free, friction = (inverse @ (tau - bias)[..., None])[..., 0], plant.friction
+    free, friction = np.matvec(inverse, tau - bias), plant.friction
 
     def acceleration(v: Array) -> Array:
         if friction.load is not None:
             rigid = friction.left(tau - plant.offset - friction(v), v)
-            return np.asarray((inverse @ (rigid - bias + plant.offset)[..., None])[..., 0])
-        return np.asarray(free - (inverse @ friction(v)[..., None])[..., 0])
+            return np.matvec(inverse, rigid - bias + plant.offset)
+        return free - np.matvec(inverse, friction(v))
 
     for _ in range(substeps):
         a1 = acceleration(v)
         a2 = acceleration(v + 0.5 * d * a1)
         a3 = acceleration(v + 0.5 * d * a2)
         a4 = acceleration(v + d * a3)
-        q = q + d * v + d**2 / 6 * (a1 + a2 + a3)
-        v = v + d / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        middle = a2 + a3
+        q = q + d * v + d**2 / 6 * (a1 + middle)
+        v = v + d / 6 * (a1 + middle + middle + a4)
     return q, v
 
 
@@ -359,37 +360,30 @@ def simulate(
         )
     seen, seen_before, seen_earlier, v_before = q @ plant.R.T, q @ plant.R.T, q @ plant.R.T, v
     measured, commanded, q_true, dq_true = np.empty((4, S, N, n))
-    count, noise = (
-        cell.encoder_step * np.abs(np.diag(plant.R)),
-        cell.encoder_noise * np.abs(np.diag(plant.R)),
-    )
-    rho, error_seen = (
-        cell.encoder_correlation,
-        np.random.default_rng([3, seed]).standard_normal((S, n)),
-    )
+    count, rho = cell.encoder_step * np.abs(np.diag(plant.R)), cell.encoder_correlation
+    before = rho * np.random.default_rng([3, seed]).standard_normal((1, S, n))
     white = np.sqrt(1 - rho**2) * rng.standard_normal((N, S, n))
+    noise = lfilter([1.0], [1.0, -rho], white, axis=0, zi=before)[0]
+    noise *= cell.encoder_noise * np.abs(np.diag(plant.R))
+    ahead = kd * speed_share * target_speed + (0.0 if feedforward is None else feedforward)
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
-    back, body = np.linalg.inv(plant.R).T, plant
+    body, turn = plant, plant.R.T
+    span = T * (2 if c.two_sample_mean else 1)
     for k in range(N):
-        error_seen = rho * error_seen + white[k]
-        seen = q @ plant.R.T + noise * error_seen
+        measured[:, k] = seen = q.dot(turn) + noise[k]
         if cell.encoder_step:
-            seen = np.round(seen / count) * count
-        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (
-            T * (2 if c.two_sample_mean else 1)
-        )
+            measured[:, k] = seen = np.round(seen / count) * count
+        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / span
         seen_before, seen_earlier = seen, seen_before
         error = target[:, k] - seen
-        u = kp * error + kd * (speed_share * target_speed[:, k] - speed)
+        u = kp * error - kd * speed + ahead[:, k]
         if integrates:
             after = integral + T * (c.position_gain * error - speed if cascade else error)
             u = u + ki * after
             integral = np.where(np.abs(u) > c.saturation, integral, after)  # no wind-up
-        if feedforward is not None:
-            u = u + feedforward[:, k]
-        tau = np.minimum(np.maximum(u, -c.saturation), c.saturation) @ to_joints
-        measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
+        tau = np.minimum(np.maximum(u, -c.saturation), c.saturation).dot(to_joints)
+        commanded[:, k], q_true[:, k], dq_true[:, k] = tau, q, v
         if later is not None and k == N // 2:
             body = later
         if cell.friction_drift or cell.dragging:
@@ -419,7 +413,6 @@ def simulate(
     if cell.coloured_noise_percent:
         recorded = recorded + level * cell.coloured_noise_percent * coloured(rng, (S, N, n))
     return Runs(
-        q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true,
-        rate_hz=c.rate_hz,
-        recorded=cell.recorded,
+        q=measured @ np.linalg.inv(plant.R).T, q_ref=reference.q, effort=recorded,
+        q_true=q_true, dq_true=dq_true, rate_hz=c.rate_hz, recorded=cell.recorded,
     )  # fmt: skip
