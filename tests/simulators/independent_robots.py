@@ -212,7 +212,7 @@ class Friction:
         return torque / (1.0 + self.load * np.sign(torque) * np.tanh(v / self.smooth[: v.shape[1]]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)  # a key by itself, not by its arrays
 class Plant:
     """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as
     robot.toml states them.

@@ -80,7 +80,7 @@ def references(
     return Reference(q=q, dq=dq, ddq=ddq)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)  # a key by itself, not by its arrays
 class Controller:
     """A control law as README.md describes it; gains (n,) by motor, `drive_gain` torque
     per unit of its output.
@@ -271,13 +271,13 @@ def step(
     """
     M, bias = plant.inertia_and_bias(q + 0.5 * h * v, middle_v)
     inverse, d = np.linalg.inv(M), h / substeps
-    free, friction = np.matvec(inverse, tau - bias), plant.friction
+    free, friction = (inverse @ (tau - bias)[..., None])[..., 0], plant.friction
 
     def acceleration(v: Array) -> Array:
         if friction.load is not None:
             rigid = friction.left(tau - plant.offset - friction(v), v)
-            return np.matvec(inverse, rigid - bias + plant.offset)
-        return free - np.matvec(inverse, friction(v))
+            return (inverse @ (rigid - bias + plant.offset)[..., None])[..., 0]
+        return free - (inverse @ friction(v)[..., None])[..., 0]
 
     for _ in range(substeps):
         a1 = acceleration(v)

@@ -23,7 +23,7 @@ def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
     return replace(
         sound(name, np.random.default_rng(seed)),
         duration_s=duration_s,
-        substeps=1 if name != "tx40" else 2,
+        substeps=1,
     )
 
 
@@ -66,7 +66,7 @@ def test_wrong_sign_names_motor_unless_all_wrong():
 
 
 def test_coupled_wrist_names_motor():
-    signals = setup("tx40", 1, 8.0).recording(1)
+    signals = setup("tx40", 1).recording(1)
     assert not {"signs and order", "saturation", "positions"} & {
         line.test for line in fit_by_least_squares(signals).trust.lines
     }

@@ -373,7 +373,8 @@ def test_real_emps(emps):
 
 def test_invisible_delay_assumed_with_advice():
     """An axis whose viscous friction a lag of ± 2 ms moves by some half-widths."""
-    signals = replace(sound("emps", np.random.default_rng(2)).recording(2), effort_timing="unknown")
+    signals = replace(sound("emps", np.random.default_rng(2)), substeps=1).recording(2)
+    signals = replace(signals, effort_timing="unknown")
     fit = fit_by_default(replace(signals, q_ref=None))
     assert fit.trust.line("lag").level == "cannot tell"
     assert fit.trust.verdict == "trust"
