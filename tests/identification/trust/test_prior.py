@@ -40,7 +40,7 @@ def runs(payload_kg: float = 0.0):
         references(body, range(1), duration_s=8, rate_hz=RATE_HZ),
         CELL,
         seed=1,
-        substeps=3,
+        substeps=1,
     )
 
 
