@@ -11,7 +11,6 @@ States are batches (S, n): one row for each run that is simulated at the same ti
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -167,10 +166,8 @@ class Friction:
 
     def __call__(self, v: Array) -> Array:
         """Torques (S, n) at the speeds v (S, n)."""
-        x = v.dot(self._scaled)
+        x = v.dot(self.directions.T) / self.smooth
         side, linear = np.tanh(x), v.dot(self.viscous)
-        if not (self.stribeck or self.asymmetry or self.root is not None):
-            return side.dot(self._sliding) + linear
         force = self.coulomb * side
         if self.stribeck:
             force = force * (1.0 + self.stribeck * np.exp(-((x / 20.0) ** 2)))
@@ -181,17 +178,7 @@ class Friction:
             )
         if self.root is not None:
             force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
-        return force @ self.directions + linear
-
-    @cached_property
-    def _scaled(self) -> Array:
-        """v times it (n, c) is the speed along each direction, in parts of v0."""
-        return self.directions.T / self.smooth
-
-    @cached_property
-    def _sliding(self) -> Array:
-        """The joints' torques (c, n) of full Coulomb friction of each direction."""
-        return self.coulomb[:, None] * self.directions
+        return force.dot(self.directions) + linear
 
     def times(self, factor: float) -> "Friction":
         """Coulomb and viscous friction, larger by the factor."""

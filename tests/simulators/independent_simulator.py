@@ -363,13 +363,12 @@ def simulate(
     count, rho = cell.encoder_step * np.abs(np.diag(plant.R)), cell.encoder_correlation
     before = rho * np.random.default_rng([3, seed]).standard_normal((1, S, n))
     white = np.sqrt(1 - rho**2) * rng.standard_normal((N, S, n))
-    noise = lfilter([1.0], [1.0, -rho], white, axis=0, zi=before)[0]
-    noise *= cell.encoder_noise * np.abs(np.diag(plant.R))
+    error_of_motor = lfilter([1.0], [1.0, -rho], white, axis=0, zi=before)[0]
+    noise = error_of_motor * cell.encoder_noise * np.abs(np.diag(plant.R))
     ahead = kd * speed_share * target_speed + (0.0 if feedforward is None else feedforward)
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
-    body, turn = plant, plant.R.T
-    span = T * (2 if c.two_sample_mean else 1)
+    body, turn, span = plant, plant.R.T, T * (2 if c.two_sample_mean else 1)
     for k in range(N):
         measured[:, k] = seen = q.dot(turn) + noise[k]
         if cell.encoder_step:

@@ -36,8 +36,10 @@ def test_fit_prints_table_and_writes_json(capsys, tmp_path):
         "Fv2",
         "Fc2",
     ]
-    assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"
-    assert fit["parameters"][0]["unit"] == "kg m²"
+    assert (fit["parameters"][0]["expression"], fit["parameters"][0]["unit"]) == (
+        "ZZ1 + 0.25 M2",
+        "kg m²",
+    )
     assert {
         "method",
         "status",
@@ -113,8 +115,7 @@ def test_recording_replaced_only_on_request(capsys, tmp_path):
     assert str(log) in told
     assert told.rstrip().endswith("--out, or --overwrite")
     assert "--overwrite" not in refused(capsys, "fit", SESSION, "--json", log)
-    assert log.read_bytes() == b"old"
-    assert run(capsys, *simulate, "--overwrite")[0] == 0
+    assert (log.read_bytes(), run(capsys, *simulate, "--overwrite")[0]) == (b"old", 0)
     assert log.stat().st_size > 1000
 
 

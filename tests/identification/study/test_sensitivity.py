@@ -84,8 +84,7 @@ def test_each_variant_changes_one_thing():
 
 
 def test_noise_and_settings_reach_fit(tmp_path):
-    rules = Variant(changed="none", to="the rules")
-    source = RecordingFile.at(SCARA)
+    rules, source = Variant(changed="none", to="the rules"), RecordingFile.at(SCARA)
     starts = [fit_variant(source, replace(rules, start=start)) for start in (None, 1000.0)]
     assert 0 < changes_of(starts, "ZZ1R")[1][1] < 1e-3
     source = RecordingFile.at(short_recording(tmp_path / "short.mcap", SCARA))

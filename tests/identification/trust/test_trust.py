@@ -20,20 +20,19 @@ from identification.methods import Iteration, iteration, solve
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 from identification.report import write_json
-from identification.results import Evidence, fit_file, identify, identify_iv
+from identification.results import fit_file, identify, identify_iv
 from identification.study import Noise, closed_loop, random_reference
-from identification.trust import TrustInputs
 
 SCARA = REPLAY / "scara" / "session.mcap"
 TX40 = REPLAY / "tx40" / "session.mcap"
 
 
-def by_ls(signals: Signals, **overrides: object) -> TrustInputs:
+def by_ls(signals: Signals, **overrides: object):
     """Of which no test is made."""
     return solve(signals, Overrides(**overrides), method="wls").inputs
 
 
-def off_percent(fit: Evidence | TrustInputs, signals: Signals) -> float:
+def off_percent(fit, signals: Signals) -> float:
     true = described_parameters(InverseModel(signals.robot), fit.problem.base)
     return float(100 * np.linalg.norm(fit.estimate.beta - true) / np.linalg.norm(true))
 
@@ -195,14 +194,28 @@ def test_iv_start_refused_with_least_squares(capsys):
 
 def test_validate_takes_fit_settings(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
-    command = "fit", SCARA, "--method", "wls", "--cutoff-hz", "40"
     robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7", "decimation = 20")
 
     def used(*keys: str, options: tuple[str, ...] = ()) -> list[object]:
         assert run(capsys, "validate", fit, SCARA, "--json", errors, *options)[0] == 0
         return [json.loads(errors.read_text())[key] for key in keys]
 
-    assert run(capsys, *command, "--robot", robot, "--json", fit)[0] == 0
+    assert (
+        run(
+            capsys,
+            "fit",
+            SCARA,
+            "--method",
+            "wls",
+            "--cutoff-hz",
+            "40",
+            "--robot",
+            robot,
+            "--json",
+            fit,
+        )[0]
+        == 0
+    )
     stored = json.loads(fit.read_text())
     assert stored["low_speed_percent"] == {"ls": 7.0, "iv": 7.0}
     assert (stored["edges"], stored["span_rule"], stored["span"]) == (

@@ -61,8 +61,7 @@ def test_turned_sign_is_a_witness(monkeypatch):
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_two_wrong_signs_make_fit_do_not_use(seed):
-    setup = white("scara")
-    wrong = two_signs(setup, np.random.default_rng(seed))
+    wrong = two_signs(white("scara"), np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
     assert fit.trust.verdict == "do not use"
     assert fit.trust.finding.endswith("has the wrong sign")
@@ -112,7 +111,7 @@ def with_torque(setup: SetUp, of):
 
 
 def test_nonlinear_spring_and_effort_limit_are_named():
-    setup = without = white("scara")
+    setup = white("scara")
 
     def stop(signals):
         q = signals.q - signals.q.mean(axis=0)
@@ -135,4 +134,4 @@ def test_nonlinear_spring_and_effort_limit_are_named():
         line = fit.trust.line("added columns")
         assert line.level == "caution", line.text
         assert line.finding.startswith(kind), line.text
-    assert fit_by_least_squares(without.recording(3)).trust.line("added columns").level == "ok"
+    assert fit_by_least_squares(setup.recording(3)).trust.line("added columns").level == "ok"
