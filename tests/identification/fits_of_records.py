@@ -3,6 +3,7 @@
 Not for a test that patches the method: others would be given its fit.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
 from identification.results import Evidence, fit_file, identify_iv, identify_ls
+from identification.study import write_signals
 from identification.view import draw_fit
 from identification.view.panels import Picture
 
@@ -19,6 +21,14 @@ from identification.view.panels import Picture
 @cache
 def signals_of(path: Path) -> Signals:
     return load_signals(path)
+
+
+def short_recording(path: Path, of: Path, samples: int = 5000) -> Path:
+    """Its first samples, for a command that takes any recording."""
+    whole = signals_of(of)
+    part = {name: getattr(whole, name)[:samples] for name in ("t_s", "q", "q_ref", "effort")}
+    write_signals(path, replace(whole, **part), source="a part of another")
+    return path
 
 
 @cache

@@ -6,10 +6,10 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
-from hunt_kinds import ASSUMED, CLEAN, CORRECTED, KINDS, Kind, SetUp, cell_of, sound
+from hunt_kinds import ASSUMED, CLEAN, CORRECTED, KINDS, Kind, SetUp, cell_of, sound, white
 
 from identification.data import Signals
 from identification.errors import RobotIdimError
@@ -30,6 +30,12 @@ def fit_by_default(signals: Signals, overrides: Overrides | None = None) -> Evid
         if signals.q_ref is None
         else identify_iv(signals, given, Iteration())
     )
+
+
+@cache
+def clean(name: str) -> Evidence:
+    """Of white noise alone."""
+    return fit_by_default(white(name).recording(3))
 
 
 def fit_by_least_squares(signals: Signals) -> Evidence:

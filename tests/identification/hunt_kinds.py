@@ -7,7 +7,7 @@ kind changes a sound one.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from independent_robots import Plant, plant, with_payload
 from independent_simulator import (
     Controller,
     Imperfections,
+    Runs,
     at_rate,
     described_controller,
     description,
@@ -81,36 +82,54 @@ class SetUp:
 
     def recording(self, seed: int) -> Signals:
         """Simulated, recorded, and changed."""
-        rate_hz = self.controller.rate_hz
-        path = references(
+        runs = simulated(
             self.body,
-            range(seed, seed + 1),
-            duration_s=self.duration_s,
-            rate_hz=rate_hz,
-            highest_hz=self.highest_hz,
-        )
-        if self.held is not None:
-            moves = np.arange(self.body.n) != self.held
-            start = np.where(moves, 0.0, path.q[:, :1])
-            path = replace(path, q=path.q * moves + start, dq=path.dq * moves, ddq=path.ddq * moves)
-        controller = self.controller
-        if self.saturated is not None:
-            torque = self.body.inverse(path.q[0], path.dq[0], path.ddq[0])
-            effort = np.linalg.solve(self.body.R.T, torque.T).T / controller.drive_gain
-            controller = replace(controller, saturation=self.saturated * np.abs(effort).max(axis=0))
-        runs = simulate(
-            self.body,
-            controller,
-            path,
+            self.controller,
             self.cell,
-            seed=seed,
-            substeps=self.substeps,
-            later=self.later,
+            self.later,
+            self.held,
+            self.saturated,
+            self.duration_s,
+            self.highest_hz,
+            self.substeps,
+            seed,
         )
         signals = runs.signals(self.robot, 0, self.timing)
         for change in self.changes:
             signals = change(signals)
         return signals
+
+
+@lru_cache(maxsize=16)
+def simulated(
+    body: Plant,
+    controller: Controller,
+    cell: Imperfections,
+    later: Plant | None,
+    held: int | None,
+    saturated: float | None,
+    duration_s: float,
+    highest_hz: float,
+    substeps: int,
+    seed: int,
+) -> Runs:
+    """One run of a set-up, made once: kinds that change the recording share it."""
+    path = references(
+        body,
+        range(seed, seed + 1),
+        duration_s=duration_s,
+        rate_hz=controller.rate_hz,
+        highest_hz=highest_hz,
+    )
+    if held is not None:
+        moves = np.arange(body.n) != held
+        start = np.where(moves, 0.0, path.q[:, :1])
+        path = replace(path, q=path.q * moves + start, dq=path.dq * moves, ddq=path.ddq * moves)
+    if saturated is not None:
+        torque = body.inverse(path.q[0], path.dq[0], path.ddq[0])
+        effort = np.linalg.solve(body.R.T, torque.T).T / controller.drive_gain
+        controller = replace(controller, saturation=saturated * np.abs(effort).max(axis=0))
+    return simulate(body, controller, path, cell, seed=seed, substeps=substeps, later=later)
 
 
 def sound(name: str, rng: Rng) -> SetUp:
@@ -131,6 +150,15 @@ def sound(name: str, rng: Rng) -> SetUp:
         robot=robot,
         timing="unknown" if rng.random() < 1 / 2 else "command",
     )
+
+
+def white(name: str) -> SetUp:
+    """A clean cell whose noise of the torque is white, and that holds its efforts."""
+    cell = Imperfections(encoder_noise=1e-6 if name == "emps" else 1e-5, torque_noise_percent=2.0)
+    return replace(
+        sound(name, np.random.default_rng(1)),
+        cell=cell, timing="command", duration_s=7.0, substeps=1,
+    )  # fmt: skip
 
 
 @cache

@@ -166,8 +166,8 @@ class Friction:
 
     def __call__(self, v: Array) -> Array:
         """Torques (S, n) at the speeds v (S, n)."""
-        x = (v @ self.directions.T) / self.smooth
-        side, linear = np.tanh(x), v @ self.viscous
+        x = v.dot(self.directions.T) / self.smooth
+        side, linear = np.tanh(x), v.dot(self.viscous)
         force = self.coulomb * side
         if self.stribeck:
             force = force * (1.0 + self.stribeck * np.exp(-((x / 20.0) ** 2)))
@@ -178,7 +178,7 @@ class Friction:
             )
         if self.root is not None:
             force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
-        return force @ self.directions + linear
+        return force.dot(self.directions) + linear
 
     def times(self, factor: float) -> "Friction":
         """Coulomb and viscous friction, larger by the factor."""
@@ -199,7 +199,7 @@ class Friction:
         return torque / (1.0 + self.load * np.sign(torque) * np.tanh(v / self.smooth[: v.shape[1]]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)  # a key by itself, not by its arrays
 class Plant:
     """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as
     robot.toml states them.

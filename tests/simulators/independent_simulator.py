@@ -80,7 +80,7 @@ def references(
     return Reference(q=q, dq=dq, ddq=ddq)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)  # a key by itself, not by its arrays
 class Controller:
     """A control law as README.md describes it; gains (n,) by motor, `drive_gain` torque
     per unit of its output.
@@ -276,16 +276,17 @@ def step(
     def acceleration(v: Array) -> Array:
         if friction.load is not None:
             rigid = friction.left(tau - plant.offset - friction(v), v)
-            return np.asarray((inverse @ (rigid - bias + plant.offset)[..., None])[..., 0])
-        return np.asarray(free - (inverse @ friction(v)[..., None])[..., 0])
+            return (inverse @ (rigid - bias + plant.offset)[..., None])[..., 0]
+        return free - (inverse @ friction(v)[..., None])[..., 0]
 
     for _ in range(substeps):
         a1 = acceleration(v)
         a2 = acceleration(v + 0.5 * d * a1)
         a3 = acceleration(v + 0.5 * d * a2)
         a4 = acceleration(v + d * a3)
-        q = q + d * v + d**2 / 6 * (a1 + a2 + a3)
-        v = v + d / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        middle = a2 + a3
+        q = q + d * v + d**2 / 6 * (a1 + middle)
+        v = v + d / 6 * (a1 + middle + middle + a4)
     return q, v
 
 
@@ -359,37 +360,29 @@ def simulate(
         )
     seen, seen_before, seen_earlier, v_before = q @ plant.R.T, q @ plant.R.T, q @ plant.R.T, v
     measured, commanded, q_true, dq_true = np.empty((4, S, N, n))
-    count, noise = (
-        cell.encoder_step * np.abs(np.diag(plant.R)),
-        cell.encoder_noise * np.abs(np.diag(plant.R)),
-    )
-    rho, error_seen = (
-        cell.encoder_correlation,
-        np.random.default_rng([3, seed]).standard_normal((S, n)),
-    )
+    count, rho = cell.encoder_step * np.abs(np.diag(plant.R)), cell.encoder_correlation
+    before = rho * np.random.default_rng([3, seed]).standard_normal((1, S, n))
     white = np.sqrt(1 - rho**2) * rng.standard_normal((N, S, n))
+    error_of_motor = lfilter([1.0], [1.0, -rho], white, axis=0, zi=before)[0]
+    noise = error_of_motor * cell.encoder_noise * np.abs(np.diag(plant.R))
+    ahead = kd * speed_share * target_speed + (0.0 if feedforward is None else feedforward)
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
-    back, body = np.linalg.inv(plant.R).T, plant
+    body, turn, span = plant, plant.R.T, T * (2 if c.two_sample_mean else 1)
     for k in range(N):
-        error_seen = rho * error_seen + white[k]
-        seen = q @ plant.R.T + noise * error_seen
+        measured[:, k] = seen = q.dot(turn) + noise[k]
         if cell.encoder_step:
-            seen = np.round(seen / count) * count
-        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (
-            T * (2 if c.two_sample_mean else 1)
-        )
+            measured[:, k] = seen = np.round(seen / count) * count
+        speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / span
         seen_before, seen_earlier = seen, seen_before
         error = target[:, k] - seen
-        u = kp * error + kd * (speed_share * target_speed[:, k] - speed)
+        u = kp * error - kd * speed + ahead[:, k]
         if integrates:
             after = integral + T * (c.position_gain * error - speed if cascade else error)
             u = u + ki * after
             integral = np.where(np.abs(u) > c.saturation, integral, after)  # no wind-up
-        if feedforward is not None:
-            u = u + feedforward[:, k]
-        tau = np.minimum(np.maximum(u, -c.saturation), c.saturation) @ to_joints
-        measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
+        tau = np.minimum(np.maximum(u, -c.saturation), c.saturation).dot(to_joints)
+        commanded[:, k], q_true[:, k], dq_true[:, k] = tau, q, v
         if later is not None and k == N // 2:
             body = later
         if cell.friction_drift or cell.dragging:
@@ -419,7 +412,6 @@ def simulate(
     if cell.coloured_noise_percent:
         recorded = recorded + level * cell.coloured_noise_percent * coloured(rng, (S, N, n))
     return Runs(
-        q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true,
-        rate_hz=c.rate_hz,
-        recorded=cell.recorded,
+        q=measured @ np.linalg.inv(plant.R).T, q_ref=reference.q, effort=recorded,
+        q_true=q_true, dq_true=dq_true, rate_hz=c.rate_hz, recorded=cell.recorded,
     )  # fmt: skip

@@ -1,13 +1,11 @@
 """Where a newcomer would stop: the program says what to type next."""
 
-import shutil
-
 import pytest
 from conftest import REPLAY
+from fits_of_records import short_recording, signals_of
 
 from acquisition.robot import load_robot
 from identification.commands import main
-from identification.data import load_signals
 from identification.study import border_line
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -49,8 +47,7 @@ def test_study_reports_run_time_and_zeros(capsys, tmp_path):
 
 def test_edited_description_beside_recording(capsys, tmp_path):
     recording, robot = tmp_path / "session.mcap", tmp_path / "robot.toml"
-    shutil.copy(SCARA, recording)
-    stored = load_signals(recording).robot.files["robot.toml"]
+    stored = signals_of(short_recording(recording, SCARA)).robot.files["robot.toml"]
     told = (
         f"{robot} differs from the description in session.mcap, which was used: --robot "
         f"{robot} uses it"

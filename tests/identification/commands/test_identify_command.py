@@ -36,8 +36,10 @@ def test_fit_prints_table_and_writes_json(capsys, tmp_path):
         "Fv2",
         "Fc2",
     ]
-    assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"
-    assert fit["parameters"][0]["unit"] == "kg m²"
+    assert (fit["parameters"][0]["expression"], fit["parameters"][0]["unit"]) == (
+        "ZZ1 + 0.25 M2",
+        "kg m²",
+    )
     assert {
         "method",
         "status",
@@ -53,8 +55,10 @@ def test_fit_prints_table_and_writes_json(capsys, tmp_path):
 
 
 def test_same_description_prints_same_bytes(capsys):
+    """With the status of a fit whose verdict is not required to be trust."""
     command = "fit", SESSION, "--method", "wls"
-    assert run(capsys, *command) == run(capsys, *command, "--robot", SCARA)
+    told = run(capsys, *command)
+    assert (told[0], told == run(capsys, *command, "--robot", SCARA)) == (0, True)
 
 
 def test_requested_verdict_sets_exit_status(capsys, tmp_path):
@@ -66,7 +70,6 @@ def test_requested_verdict_sets_exit_status(capsys, tmp_path):
     assert err.startswith("robot-identify: not to be trusted: ")
     assert "caution: lag" in out
     assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "caution"
-    assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
 
 
 def test_options_and_keys_change_fit(capsys, tmp_path):
@@ -112,8 +115,7 @@ def test_recording_replaced_only_on_request(capsys, tmp_path):
     assert str(log) in told
     assert told.rstrip().endswith("--out, or --overwrite")
     assert "--overwrite" not in refused(capsys, "fit", SESSION, "--json", log)
-    assert log.read_bytes() == b"old"
-    assert run(capsys, *simulate, "--overwrite")[0] == 0
+    assert (log.read_bytes(), run(capsys, *simulate, "--overwrite")[0]) == (b"old", 0)
     assert log.stat().st_size > 1000
 
 

@@ -219,8 +219,10 @@ def test_command_prints_and_stores_terms(names, tmp_path, capsys):
         sorted(several_names) or [f"fifth {k}" for k in range(1, 6)]
     )
     for one in stored["sets"]:
-        assert len(one["held_out_percents"]) == len(stored["held_out"])
-        assert one["held_out_error_percent"] == pytest.approx(np.mean(one["held_out_percents"]))
+        assert (len(one["held_out_percents"]), one["held_out_error_percent"]) == (
+            len(stored["held_out"]),
+            pytest.approx(np.mean(one["held_out_percents"])),
+        )
         assert 0.1 < one["fitted_error_percent"] < one["held_out_error_percent"]
     assert stored["sets"][0]["held_out_error_percent"] < 1
     out, comments = capsys.readouterr().out, [f"# {line}" for line in stated]

@@ -14,6 +14,7 @@ from described_truth import off
 from acquisition.robot import LowSpeed
 from identification.data import Recordings, load_signals
 from identification.errors import NoFitError
+from identification.methods import solve
 from identification.regression import (
     ROWS,
     Decimation,
@@ -220,9 +221,11 @@ def test_recordings_of_short_moves_fitted():
 
 def test_chosen_taper_has_smaller_half_widths():
     """By the median ratio of the half-widths of whole fits with each ramp stated."""
-    chosen = identify_ls(SCARA, Overrides()).settings.ramp_rows
-    long, short = (identify_ls(SCARA, Overrides(ramp_rows=ramp)) for ramp in (2.0, 0.5))
-    assert [fit.settings.ramp_rows for fit in (long, short)] == [2.0, 0.5]
+    chosen, long, short = (
+        solve(SCARA, Overrides(ramp_rows=ramp), method="wls").inputs for ramp in (None, 2.0, 0.5)
+    )
+    chosen, *stated = (one.problem.settings.ramp_rows for one in (chosen, long, short))
+    assert stated == [2.0, 0.5]
     ratio = np.median(long.intervals.half / short.intervals.half)
     assert abs(ratio - 1) > 0.02
     assert chosen == (2.0 if ratio < 1 else 0.5)

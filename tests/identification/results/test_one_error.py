@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -47,23 +48,32 @@ def test_all_outputs_report_same_error(tmp_path, monkeypatch, capsys):
     assert float(row["torque_error_percent"]) == pytest.approx(error, rel=1e-6)
 
 
+CELL = replace(sound("scara", np.random.default_rng(0)), substeps=1)
+
+
+@cache
+def error_of_rules():
+    return fit_by_default(CELL.recording(0)).errors[-1]
+
+
 @pytest.mark.parametrize("hz", [1.5, 15.0])
 def test_error_independent_of_given_bandwidth(hz):
-    signals = sound("scara", np.random.default_rng(0)).recording(0)
-    expected = fit_by_default(signals).errors[-1]
+    signals, expected = CELL.recording(0), error_of_rules()
     stated = replace(signals, robot=with_control(signals.robot, bandwidth_hz=hz))
     fit = fit_by_default(stated)
     found = fit.errors[-1]
     assert found.relative_error_percent == pytest.approx(expected.relative_error_percent, rel=0.05)
-    assert found.moving_rows == expected.moving_rows
-    assert fit.settings.cutoff_hz == pytest.approx(5 * hz)
+    assert (found.moving_rows, fit.settings.cutoff_hz) == (
+        expected.moving_rows,
+        pytest.approx(5 * hz),
+    )
     assert len(fit.tau) != len(fit.data.observed.tau)
     document = fit_document(fit_file(fit))
     assert f"{found.relative_error_percent:.3g} % torque error" in document.title
 
 
 def test_friction_reports_errors_of_its_fits():
-    choice = select_friction(sound("scara", np.random.default_rng(0)).recording(0))
+    choice = select_friction(CELL.recording(0))
     for trial, fit in zip((choice.usual, choice.recommended), choice.fits(), strict=True):
         assert trial.fitted_error_percent == pytest.approx(
             fit.errors[-1].relative_error_percent,
@@ -77,7 +87,7 @@ def test_only_true_values_predict_motion():
     """By the independent simulator, without noise; 20 % more of all inertias falls behind."""
     body, law, robot = cell_of("scara")
     path = references(body, range(3, 4), duration_s=6.0, rate_hz=law.rate_hz)
-    runs = simulate(body, law, path, Imperfections(), seed=3)
+    runs = simulate(body, law, path, Imperfections(), seed=3, substeps=1)
     problem = make_problem(runs.signals(robot, 0), Overrides()).for_errors
     names = problem.base.names
     fit = identify_ls(runs.signals(robot, 0), Overrides())
@@ -95,9 +105,8 @@ def test_only_true_values_predict_motion():
 
 def test_recordings_share_error_filters():
     """Those of the faster one; a recording that is too short for them is told of."""
-    setup = sound("scara", np.random.default_rng(0))
-    slow = replace(replace(setup, highest_hz=0.3).recording(1), recording="slow.mcap")
-    fast = setup.recording(0)
+    slow = replace(replace(CELL, highest_hz=0.3).recording(1), recording="slow.mcap")
+    fast = CELL.recording(0)
     alone = [make_problem(one, Overrides()) for one in (fast, slow)]
     expected, lower = (one.for_errors.settings.cutoff_hz for one in alone)
     fit = identify_ls(Recordings(sources=(slow, fast)), Overrides())

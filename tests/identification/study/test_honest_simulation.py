@@ -11,6 +11,7 @@ from conftest import IDENTIFY, REPLAY, robot_named
 from independent_robots import plant
 from independent_simulator import (
     Imperfections,
+    Runs,
     coloured,
     described_controller,
     references,
@@ -38,18 +39,23 @@ def reference(name: str):
 
 
 @cache
+def run_of(name: str, cell: Imperfections) -> Runs:
+    body = plant(REPLAY / name / "robot.toml", smooth=0.001)
+    return simulate(body, described_controller(body), reference(name), cell, substeps=2)
+
+
 def independent(name: str, cell: Imperfections = NOTHING, mean: bool = True):
     """Torque, as the mean of two commands, and tracking error by the other simulator; friction as
     steep as numbers allow.
     """
-    body, path = plant(REPLAY / name / "robot.toml", smooth=0.001), reference(name)
-    runs = simulate(body, described_controller(body), path, cell, substeps=2)
+    runs = run_of(name, cell)
     effort = runs.effort[0]
     if mean:
         effort = 0.5 * (effort + np.roll(effort, 1, axis=0))
     return effort[SETTLED], (runs.q - runs.q_ref)[0, SETTLED]
 
 
+@cache
 def packaged(name: str, seed: int = 3, **noise: object):
     path = reference(name).q[0]
     signals = closed_loop(robot_named(name), path, 1000.0, noise=Noise(**noise), seed=seed)

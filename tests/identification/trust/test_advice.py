@@ -17,7 +17,7 @@ from identification.results import Evidence
 
 def cell(name: str = "scara") -> SetUp:
     setup = sound(name, np.random.default_rng(4))
-    return replace(setup, timing="command", duration_s=10.0, substeps=2)
+    return replace(setup, timing="command", duration_s=10.0, substeps=1)
 
 
 def faulty(kind: str) -> SetUp:

@@ -6,11 +6,12 @@ Named as missing, or as assumed.
 from dataclasses import replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
-from hunt import fit_by_default, fit_by_least_squares
-from hunt_kinds import KINDS, SetUp, clocks_apart, denied_rotor, sound
+from hunt import clean, fit_by_default, fit_by_least_squares
+from hunt_kinds import KINDS, SetUp, clocks_apart, denied_rotor, white
 from independent_robots import plant
 from independent_simulator import Imperfections, description, designed_pd, without_settings
 
@@ -21,14 +22,6 @@ from identification.trust import columns
 from identification.trust.candidates import MissingTerm
 from identification.trust.columns import missing_terms
 from identification.trust.kinds import IN_PARTS
-
-
-def white(name: str) -> SetUp:
-    cell = Imperfections(encoder_noise=1e-6 if name == "emps" else 1e-5, torque_noise_percent=2.0)
-    return replace(
-        sound(name, np.random.default_rng(1)),
-        cell=cell, timing="command", duration_s=7.0, substeps=1,
-    )  # fmt: skip
 
 
 def arm() -> SetUp:
@@ -43,11 +36,6 @@ def arm() -> SetUp:
     )  # fmt: skip
 
 
-@cache
-def clean(name: str) -> Evidence:
-    return fit_by_default(white(name).recording(3))
-
-
 def assumed(fit: Evidence) -> dict[str, str]:
     return {one.what: one.value for one in fit.trust.assumed if one.what in ("zeros", "rotors")}
 
@@ -56,9 +44,14 @@ def figures(fit: Evidence, kind: str) -> list[tuple[str, float, float]]:
     return [(x.where, x.value, x.t) for x in missing_terms(fit.data) if x.kind == kind]
 
 
+@cache
+def denied() -> tuple[SetUp, Evidence]:
+    setup = denied_rotor(white("scara"), np.random.default_rng(1))
+    return setup, fit_by_default(setup.recording(3))
+
+
 def test_disabled_rotor_named_with_size():
-    setup = white("scara")
-    fit = fit_by_default(denied_rotor(setup, np.random.default_rng(1)).recording(3))
+    setup, fit = denied()
     told = fit.trust.line("added columns")
     assert (told.level, told.finding) == (
         "caution",
@@ -75,6 +68,24 @@ def test_disabled_rotor_named_with_size():
     assert clean("scara").trust.verdict == "trust"
 
 
+def test_rotor_not_advised_if_ratio_explains():
+    """With the rotor allowed, the ratio is named all the same."""
+    setup, fit = denied()
+    line = fit.trust.line("added columns")
+    advice = "rotor of joint elbow missing", "rotor_inertia = true"
+    assert [text in line.text for text in advice] == [True, False]
+    signals = setup.recording(3)
+    joints = tuple(
+        msgspec.structs.replace(joint, rotor_inertia=True) for joint in signals.robot.joints
+    )
+    followed = fit_by_default(replace(signals, robot=replace(signals.robot, joints=joints)))
+    assert followed.trust.verdict == "trust"
+    rotor_2 = followed.estimate.names.index("Ia2")
+    assert (
+        abs(followed.beta[rotor_2] - setup.body.rotor[1, 1]) < 2 * followed.intervals.half[rotor_2]
+    )
+
+
 def test_unseen_zeros_and_rotors_assumed():
     """The SCARA's last zero turns its link; its first and that of a level axis are
     nowhere in the torque.
@@ -88,8 +99,10 @@ def test_unseen_zeros_and_rotors_assumed():
     off = fit_by_default(zero.recording(3))
     moved = np.abs(off.estimate.beta - clean("scara").estimate.beta) / off.intervals.half
     assert moved[off.estimate.names.index("MY2")] > 3
-    assert off.trust.line("added columns").level == "ok"
-    assert assumed(off)["zeros"] == "right at elbow"
+    assert (off.trust.line("added columns").level, assumed(off)["zeros"]) == (
+        "ok",
+        "right at elbow",
+    )
 
 
 def test_joint_zero_named_in_degrees_or_assumed():

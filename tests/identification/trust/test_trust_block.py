@@ -89,10 +89,10 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
     reference = references(
         described,
         range(5, 6),
-        duration_s={"scara": 10.0, "emps": 6.0, "tx40": 5.0}[name],
+        duration_s={"scara": 7.0, "emps": 6.0, "tx40": 5.0}[name],
         rate_hz=controller.rate_hz,
     )
-    runs = simulate(body, controller, reference, cell, seed=5, substeps=2 if arm else 1)
+    runs = simulate(body, controller, reference, cell, seed=5, substeps=1)
     return runs.signals(description(toml, controller if arm else None), 0)
 
 

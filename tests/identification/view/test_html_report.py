@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser import MISSING, browser
 from conftest import REPLAY
-from fits_of_records import iv_of, ls_of, picture_of, signals_of
+from fits_of_records import iv_of, ls_of, picture_of, short_recording, signals_of
 from pictured_fits import Written
 from scipy import signal
 
@@ -158,15 +158,20 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_commands_write_report(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for file in ("session.mcap", "robot.toml", "fit.json", "truth.json"):
-        shutil.copy(REPLAY / "scara" / file, tmp_path / file.replace("session", "log"))
+    short_recording(tmp_path / "log.mcap", SCARA)
+    for file in ("robot.toml", "fit.json", "truth.json"):
+        shutil.copy(REPLAY / "scara" / file, tmp_path / file)
     assert main([*RUNS[name].split(), "--report", "a.pdf"]) == 1
     assert "expected .md or .html" in capsys.readouterr().err
     assert not (tmp_path / "a.pdf").exists()
     assert main([*RUNS[name].split(), "--report", "a.html"]) == 0
-    page = Page((tmp_path / "a.html").read_text(encoding="utf-8"))
+    text, lines = (tmp_path / "a.html").read_text(), capsys.readouterr().out.splitlines()
+    page = Page(text)
     assert page.all("svg")
     assert page.all("h1")
+    if name == "sensitivity":
+        said = lines[0].startswith("log.mcap: LS moves by up to "), "ZZ1R ± 95 %" in text
+        assert (*said, len(lines) <= 40) == (True, True, True)
 
 
 @needs_chromium
@@ -177,8 +182,7 @@ def test_chromium_shows_without_requests_or_scroll(tmp_path):
         for width, scheme in ((1280, "light"), (400, "dark")):
             window.requests()
             window.open(file, width=width, scheme=scheme)
-            assert window.requests() == [file.as_uri()]
-            assert window.console() == []
+            assert (window.requests(), window.console()) == ([file.as_uri()], [])
             assert window.run("return [innerWidth, document.documentElement.scrollWidth]") == [
                 width,
                 width,

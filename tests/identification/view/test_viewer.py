@@ -94,14 +94,11 @@ def test_unsimulated_robot_has_no_ghost(written):
 
 
 def test_titles_have_joint_and_unit(written):
-    titles = {
-        origin: title
-        for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()
-    }
+    titles = {origin: title for origin, (_, title) in written(made_up()).views.items()}
     for quantity, units in {
-        "torque": ("N", "N m"),
-        "residual": ("N", "N m"),
-        "ddq": ("m/s²", "rad/s²"),
+        "torque": ("N m", "N"),
+        "residual": ("N m", "N"),
+        "ddq": ("rad/s²", "m/s²"),
     }.items():
         for j, unit in enumerate(units, 1):
             assert titles[f"/{quantity}/joint\\ {j}.x"] == f"{quantity} joint {j}.x [{unit}]"
