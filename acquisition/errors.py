@@ -216,4 +216,4 @@ class Location:
         return found
 
 
-COMMAND_LINE: Final = Location("")  # of options, which their keys name
+COMMAND_LINE: Final = Location("")  # of options and arguments, which their keys name

@@ -190,18 +190,15 @@ def fit(
         "q": q,
         "effort": tau,
         "sample_rate_hz": sample_rate_hz,
-        "payload": payload or "",
-        **{
-            name: x
-            for name, x in (
-                ("q_ref", q_ref),
-                ("velocity", velocity),
-                ("known_torque", known_torque),
-                ("feedforward", feedforward),
-            )
-            if x is not None
-        },
     }
+    optional = {
+        "q_ref": q_ref,
+        "velocity": velocity,
+        "known_torque": known_torque,
+        "feedforward": feedforward,
+        "payload": payload or "",
+    }
+    given |= {name: x for name, x in optional.items() if x is not None}
     sources = _several_of_arrays(described, given) if several else (_of_arrays(described, given),)
     return _of_user(
         results.identify(Recordings(sources=sources), overrides, method=method, essential=essential)

@@ -8,7 +8,7 @@ The heartbeat is sent only at SYNC: a session that hangs sends none, so the driv
 import math
 
 from .. import protocol as cia
-from ..errors import BusFaultError, NoAnswerError, RefusedError, SdoAbortedError
+from ..errors import BusFaultError, NoAnswerError, RefusedError, SdoAbortedError, holding
 from ..robot import BusFile, Drive, axis_of
 from .links import SHARED
 from .master import OPERATIONAL, Master
@@ -216,20 +216,15 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
     except (NoAnswerError, SdoAbortedError):
         sub = None
-    return " and ".join(
-        text
-        for text, is_missing in (
-            (
-                f"none of the master (no free 1016, {reaction:04X} is 0 or not there)",
-                sub is None and not read_if_there(master, drive, reaction),
-            ),
-            (
-                f"none of the following error ({window:04X} is off or not there)",
-                read_if_there(master, drive, window) in (None, NO_WINDOW),
-            ),
-        )
-        if is_missing
-    )
+    lacks = {
+        f"none of the master (no free 1016, {reaction:04X} is 0 or not there)": (
+            sub is None and not read_if_there(master, drive, reaction)
+        ),
+        f"none of the following error ({window:04X} is off or not there)": (
+            read_if_there(master, drive, window) in (None, NO_WINDOW)
+        ),
+    }
+    return " and ".join(holding(lacks))
 
 
 def refuse_unsupervised(master: Master) -> None:

@@ -278,9 +278,8 @@ class Slaves:
             self._places[slave - (slave >> 15 << 16)] = int.from_bytes(data, "little")
         elif _FMMUS <= register < _END:
             for station in list(self.registers) if command == BWR else [slave]:
-                self.registers.setdefault(station, bytearray(_END))[
-                    register : register + len(data)
-                ] = data[: _END - register]
+                memory = self.registers.setdefault(station, bytearray(_END))
+                memory[register : register + len(data)] = data[: _END - register]
         elif register >= MAILBOX and len(data) >= _MAIL.size:
             kind, service, sdo = _MAIL.unpack_from(data)
             if (

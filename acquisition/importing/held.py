@@ -45,12 +45,10 @@ def grid_of_new_rows(
     travel = by_rows(lambda x: np.abs(x[2 * AHEAD :] - x[: -2 * AHEAD]) @ per_span, q, beside=16)
     fast = np.flatnonzero(travel > np.median(travel)) + AHEAD
     new = np.asarray(steps.any(axis=1))
-    if (
-        not len(fast)
-        or new[fast].mean() > MAX_NEW
-        or not np.median((steps[fast[new[fast]]] / smallest_difference(q)).max(axis=1))
-        >= MIN_QUANTA
-    ):
+    if not len(fast) or new[fast].mean() > MAX_NEW:
+        return None
+    quanta = steps[fast[new[fast]]] / smallest_difference(q)
+    if not np.median(quanta.max(axis=1)) >= MIN_QUANTA:
         return None
     rows = np.flatnonzero(np.r_[True, new])
     at_s, own_hz = _times_of_source(time_s[rows], float(np.median(np.diff(time_s))))

@@ -53,26 +53,21 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        return ", ".join(
-            holding(
-                {
-                    f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
-                    f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms": True,
-                    f"jitter sd {1e3 * self.jitter_s:.4g} ms": True,
-                    f"{self.gaps} gaps, {self.missing} rows missing"
-                    if self.gaps
-                    else "no gaps": True,
-                    f"{self.doubled} doubled rows left out"
-                    if self.doubled
-                    else "no doubled rows": True,
-                    f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
-                    f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
-                        self.stamps_off_s is not None
-                    ),
-                    f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
-                }
-            )
-        )
+        parts = [
+            f"{self.clock} of {self.rows} rows: steps {1e3 * self.shortest_s:.4g} to "
+            f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms",
+            f"jitter sd {1e3 * self.jitter_s:.4g} ms",
+            f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps",
+            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows",
+        ]
+        more = {
+            f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
+            f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
+                self.stamps_off_s is not None
+            ),
+            f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
+        }
+        return ", ".join([*parts, *holding(more)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -350,9 +350,10 @@ def _read(data: bytes, kinds: dict[int, str]) -> Transfer:
         return Transfer(kind="other")
     kind = kinds.get(data[0] >> 5, "other")
     index, sub = int.from_bytes(data[1:3], "little"), data[3]
-    if kind in ("write", "value") and data[0] & 2:
+    if kind in ("write", "value"):
+        if not data[0] & 2:
+            return Transfer(kind="other", index=index, sub=sub)
         stated = bool(data[0] & 1)
         end = 8 - (data[0] >> 2 & 3) if stated else 8
         return Transfer(kind=kind, index=index, sub=sub, data=data[4:end], stated=stated)
-    kind = "other" if kind in ("write", "value") else kind
     return Transfer(kind=kind, index=index, sub=sub, data=data[4:] if kind == "abort" else b"")

@@ -127,10 +127,12 @@ class Robot:
     def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
         return (
-            np.broadcast_to([1.0 if m.gain is None else m.gain for m in self.motors], self.n)
+            np.broadcast_to(  # read-only
+                [1.0 if m.gain is None else m.gain for m in self.motors], self.n
+            )
             if self.identified_gain is None
             else self.identified_gain
-        )  # read-only
+        )
 
     @cached_property
     def saturation(self) -> Array:

@@ -202,15 +202,15 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
             return _limit_fault(
                 joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}"
             )
-        moved = q[i] - motion.start[i] if motion.enabling and motion.start is not None else 0.0
-        behind = abs(q[i] - motion.target[i]) if motion.target is not None else 0.0
-        speed = abs(dq[i]) if dq is not None else 0.0
+        moved = q[i] - motion.start[i] if motion.enabling and motion.start is not None else None
+        behind = abs(q[i] - motion.target[i]) if motion.target is not None else None
+        speed = abs(dq[i]) if dq is not None else None
         for key, value, largest, margin, per in (
             ("motion while drives were enabled", moved, enabling[joint.type], 1.0, ""),
             ("following error", behind, joint.si("following_error"), 1.0, ""),
             ("speed", speed, joint.si("speed"), SPEED_MARGIN, "/s"),
         ):
-            if abs(value) > margin * largest:
+            if value is not None and abs(value) > margin * largest:
                 return _limit_fault(
                     joint, key, value, f"{joint.position_unit}{per}", f"{largest:.4g} at most"
                 )

@@ -54,10 +54,13 @@ class Obstacles:
         """(N, P) distances in m of the pairs at the positions q (N, n),
         negative where shapes overlap.
         """
-        return np.array([[one.min_distance for one in found] for _, found in self._along(q)])
+        found = [[one.min_distance for one in found] for _, found in self._along(q)]
+        return np.array(found).reshape(len(q), -1)
 
     def nearest(self, q: Array) -> tuple[float, str]:
-        """The smallest distance in m along the positions q (N, n), and the name of its pair."""
+        """The smallest distance in m along the positions q (N, n), which are finite, and the name
+        of its pair.
+        """
         apart, pair = min((found[k].min_distance, k) for k, found in self._along(q))
         return float(apart), self.names[pair]
 

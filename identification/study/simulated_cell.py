@@ -50,14 +50,14 @@ PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and
 # of a simulated recording; a day at 1 kHz has fewer, and takes an hour: more are a mistake
 MIN_SAMPLES, MAX_SAMPLES = 100, 10**8
 # of the plant per controller period; with more, motion and torque change by less than 0.1 %
-STEPS = 2
+PLANT_STEPS = 2
 AR = 0.98  # autocorrelation of coloured noise at lag 1
 # Separate random streams: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED = range(3)
 # A recursion over rows: `scipy.signal`, which has it, takes longer to import than all the rest.
 _SLOW = np.frompyfunc(lambda before, white: AR * before + white, 2, 1)
 
-DURATION_S, SEED = 12.0, 1  # of the session; of reference and noise
+SESSION_S, SESSION_SEED = 12.0, 1  # of the session; of reference and noise
 CATALOGUE = (0.32, 0.32, 0.40, 0.33, 0.30, 0.32)  # gains by motor, N m/A
 TRUE_FACTORS = (1.25, 0.88, 1.40, 0.70, 1.15, 0.80)  # of the simulated drives
 RATED_NM_PER_A = 0.3  # of all motors, to make rated currents
@@ -199,7 +199,7 @@ def closed_loop(
         axis=0,
     )
     start, rng = differentiate(q_ref[:2], sample_rate_hz), np.random.default_rng([seed, _POSITION])
-    follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=STEPS)
+    follower = ClosedLoop(model, loop, (q_ref[0], start[0]), fastest=fastest, substeps=PLANT_STEPS)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     seen, held = (allocate(q_ref.shape, many=8) for _ in range(2))
     for rows, dq, ddq in _spans(q_ref, sample_rate_hz):
@@ -207,7 +207,7 @@ def closed_loop(
         done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, seen=encoder), bound)
         if reason:
             raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
-        seen[rows], held[rows] = encoder(done[0, ::STEPS]), done[3, ::STEPS]
+        seen[rows], held[rows] = encoder(done[0, ::PLANT_STEPS]), done[3, ::PLANT_STEPS]
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
         q=seen,
@@ -282,8 +282,9 @@ def record_simulated_session(
         Location(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
     )
     model, described = true_model(robot), described or robot
-    t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
-    q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
+    t_s: Array = np.arange(round(SESSION_S / period_s) + 1, dtype=np.float64) * period_s
+    reference = periodic_reference(robot, duration_s=SESSION_S, seed=SESSION_SEED)
+    q_ref, dq_ref, ddq_ref = reference.at(t_s)
     rms = np.sqrt(np.mean(model.torque(q_ref, dq_ref, ddq_ref) ** 2, axis=0))
     mechanism = DrivenPlant(
         plant=RigidBodyPlant(
@@ -292,7 +293,7 @@ def record_simulated_session(
             speed_scale=np.abs(dq_ref).max(axis=0),
             step_s=period_s / SUBSTEPS,
             disturbance=0.01 * noise_percent * rms,
-            seed=SEED if payload is None else SEED + 1,
+            seed=SESSION_SEED if payload is None else SESSION_SEED + 1,
         ),
         loops=drive_loops(robot, dynamics.inertias(model.inertia(q_ref[::50]))),
     )

@@ -328,25 +328,20 @@ def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Documen
     """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values
     of a simulated recording.
     """
-    halves = [fit.intervals.half for fit in fits]
-    rows: list[Row] = [
-        (
-            name,
-            Number(float(x), form),
-            *(
-                cell
-                for value, half in of_fits
-                for cell in (
-                    Number(float(value), form),
-                    Number(float(half), form),
-                    Number(float((value - x) / half) if half > 0 else None, "+.2f"),
-                )
-            ),
+    halves, rows = [fit.intervals.half for fit in fits], list[Row]()
+    for i, (name, x) in enumerate(zip(fits[0].base.names, true, strict=True)):
+        of_fits = [(fit.beta[i], half[i]) for fit, half in zip(fits, halves, strict=True)]
+        form = value_form(float(min(half for _, half in of_fits)) / 2)
+        cells = (
+            cell
+            for value, half in of_fits
+            for cell in (
+                Number(float(value), form),
+                Number(float(half), form),
+                Number(float((value - x) / half) if half > 0 else None, "+.2f"),
+            )
         )
-        for i, (name, x) in enumerate(zip(fits[0].base.names, true, strict=True))
-        for of_fits in [[(fit.beta[i], half[i]) for fit, half in zip(fits, halves, strict=True)]]
-        for form in [value_form(float(min(half for _, half in of_fits)) / 2)]
-    ]
+        rows.append((name, Number(float(x), form), *cells))
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     section = Section(
         title="compared with the simulated values",

@@ -302,11 +302,11 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             (name if median is None else f"{name}: median {median:.3g}", LIGHT),
             *[("", LIGHT)] * (STUDY_ROWS - 1),
         ]
-        marks += [
-            Mark(row=top + k, value=median, color=LIGHT, shape="tick")
-            for k in range(STUDY_ROWS)
-            if median is not None
-        ]
+        if median is not None:
+            marks += [
+                Mark(row=top + k, value=median, color=LIGHT, shape="tick")
+                for k in range(STUDY_ROWS)
+            ]
     return Rows(
         path=("study",),
         title=f"total error of {len(runs)} runs, of the true values",

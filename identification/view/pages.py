@@ -34,18 +34,12 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     """
     label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
     own = ParameterSet.of_file(fit, label)
-    others = [
-        *(
-            [ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares})]
-            if fit.least_squares
-            else []
-        ),
-        *(
-            [results.true_parameters(one.problem.base, truth)]
-            if truth is not None and one is not None
-            else []
-        ),
-    ]
+    others = list[ParameterSet]()
+    if fit.least_squares:
+        least_squares = {p.name: p for p in fit.least_squares}
+        others.append(ParameterSet(label="LS", parameters=least_squares))
+    if truth is not None and one is not None:
+        others.append(results.true_parameters(one.problem.base, truth))
     document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )

@@ -254,7 +254,7 @@ def test_given_control_law_moves_robot_as_drives(tmp_path, monkeypatch):
 
     Without it a stand-in PD was 90 mrad off at joint 6.
     """
-    monkeypatch.setattr(simulated_cell, "DURATION_S", 2.0)
+    monkeypatch.setattr(simulated_cell, "SESSION_S", 2.0)
     robot, out = robot_named("tx40"), tmp_path / "a.mcap"
     record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     recording = read_recording(out)

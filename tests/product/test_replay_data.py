@@ -89,7 +89,7 @@ def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
 
     Sessions of a quarter.
     """
-    monkeypatch.setattr(simulated_cell, "DURATION_S", 3.0)
+    monkeypatch.setattr(simulated_cell, "SESSION_S", 3.0)
     assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 40

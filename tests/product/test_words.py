@@ -57,7 +57,7 @@ def test_lines_fit_terminal_and_use_user_words(name, commands, tmp_path, monkeyp
     for file, source in (("log.mcap", "session.mcap"), ("robot.toml", "robot.toml")):
         shutil.copy(REPLAY / name / source, tmp_path / file)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(simulated_cell, "DURATION_S", 2.0)
+    monkeypatch.setattr(simulated_cell, "SESSION_S", 2.0)
     (tmp_path / "ref.csv").write_text("time_s,shoulder,elbow\n0,0,0\n0.3,0,0\n")
     for command in commands:
         program, *arguments = command.split()
