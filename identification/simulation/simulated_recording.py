@@ -121,6 +121,7 @@ class SimulatedRecording:
             loop if loop.kind == "surrogate" or why_not_positive(M) else loop.slower(M, FINE * hz)
         )
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
+        self._middle = self.loop.middle
         # of a short recording made once
         self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
         low, high, fastest = zip(
@@ -178,7 +179,7 @@ class SimulatedRecording:
                 steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
                 # The acceleration is that of the middle of a step; a torque stands for the middle
                 # of the controller's instants.
-                each = zip((0.0, 0.0, 0.5, self.loop.middle), along, strict=True)
+                each = zip((0.0, 0.0, 0.5, self._middle), along, strict=True)
                 q, dq, ddq, tau = (_on_lines(steps - early, series) for early, series in each)
                 x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
                 if self.instants > CHUNK:
