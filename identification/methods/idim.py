@@ -175,8 +175,8 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:
         x, asked = next_values(loop, passes)
-        say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
+        say(f"pass {len(passes)}: simulating the robot")
         try:
             passes += [loop.next_pass(passes, x, asked)]
         except NoFitError as error:
