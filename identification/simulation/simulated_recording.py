@@ -92,7 +92,6 @@ class SimulatedRecording:
         """
         self.problem = problem = problem.with_samples()
         self._gain_update, self.saturated = gain_update, saturated_percents(problem)
-        self._late_s = 0.0 if law is None else law.common_delay_s
         refuse_foreign_reference(problem, self.saturated)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimator.factor, robot.bandwidth_hz
@@ -105,9 +104,10 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop = law_of_recording(robot, signals, law)
         M = self.model_of(prior).inertia(problem.poses)
-        self.prior = inertias(M)
+        self.prior, not_positive = inertias(M), why_not_positive(M)
+        self._late_s = 0.0 if law is None else law.common_delay_s
+        loop = law_of_recording(robot, signals, law)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
             self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
@@ -117,9 +117,7 @@ class SimulatedRecording:
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
-        self.loop = (
-            loop if loop.kind == "surrogate" or why_not_positive(M) else loop.slower(M, FINE * hz)
-        )
+        self.loop = loop if loop.kind == "surrogate" or not_positive else loop.slower(M, FINE * hz)
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         self._middle = self.loop.middle
         # of a short recording made once
@@ -152,11 +150,17 @@ class SimulatedRecording:
         controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
         reference, or None.
         """
-        gains, reason = self.gains(model := self.model_of(beta))
+        (gains, reason), m = self.gains(model := self.model_of(beta)), self.substeps
         if reason is not None:
             return np.zeros((4, 0, len(gains))), gains, reason
-        loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
-        robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
+        robot = ClosedLoop(
+            model,
+            self.loop,
+            (self.start.q[0], self.start.dq[0]),
+            fastest=self.fastest,
+            gains=gains,
+            substeps=m,
+        )
         path = np.zeros(0) if self._whole else allocate((4, self.instants * m, len(gains)))
         for first, x in self._inputs():
             part, reason = robot.follow(x, self.bound)
