@@ -16,6 +16,7 @@ from .confidence import (
     deviations,
     deviations_of_sums,
     differs,
+    essential_names,
     intervals_from,
     intervals_of,
     not_below_white,

@@ -5,7 +5,6 @@ for position noise, by simulation and extrapolation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from ..estimation import (
     Estimate,
     Intervals,
     changes_of,
+    essential_names,
     intervals_from,
     intervals_of,
     not_below_white,
@@ -89,12 +89,6 @@ class Solution:
     method_reason: str = "as requested"
 
 
-def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
-    """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    certain = compress(estimate.names, found.half < np.abs(estimate.beta))
-    return tuple(name for name in certain if is_base(name) and name in essential.names)
-
-
 def inputs_of(
     model: Model,
     method: Method,
@@ -122,7 +116,7 @@ def inputs_of(
         least_squares=full,
         candidates=candidates,
         lags=lags,
-        essential=essential_names(essential, estimate, within),
+        essential=tuple(filter(is_base, essential_names(essential, estimate, within))),
         made={
             "fixed point": FIXED_POINT.judge({"least squares": True}),
             "control law": control_law_line(problems, model.laws),
