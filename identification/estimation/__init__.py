@@ -63,7 +63,6 @@ from .system import (
     r_factor,
     release_memory,
     spans_at,
-    spans_of,
     stacked,
     undetermined_parameters,
 )
