@@ -91,8 +91,7 @@ class SimulatedRecording:
         recording, or a reference of another recording.
         """
         self.problem = problem = problem.with_samples()
-        self._gain_update, self.saturated = gain_update, saturated_percents(problem)
-        refuse_foreign_reference(problem, self.saturated)
+        refuse_foreign_reference(problem)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimator.factor, robot.bandwidth_hz
         step_hz, self.cutoff_hz = rate_per_bandwidth * hz, rule_cutoff_hz(signals)
@@ -104,6 +103,7 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
+        self._gain_update, self.saturated = gain_update, saturated_percents(problem)
         M = self.model_of(prior).inertia(problem.poses)
         self.prior, not_positive = inertias(M), why_not_positive(M)
         self._late_s = 0.0 if law is None else law.common_delay_s
@@ -268,9 +268,9 @@ def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, Bool
     return np.where(held, largest, travel), held
 
 
-def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> None:
-    """Refuse a reference far from the measured position: of another recording, or in other units;
-    `saturated`: as of `saturated_percents`.
+def refuse_foreign_reference(problem: Problem) -> None:
+    """Refuse a reference far from the measured position: of another recording, or in other
+    units.
     """
     signals, joints = problem.signals, problem.signals.robot.joints
     if signals.q_ref is None:
@@ -288,7 +288,7 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
     # a drive at its limit does not follow
-    if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
+    if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
         j, unstated = int(far.argmax()), unstated_limits(problem)
         raise BadInputError(
             f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
