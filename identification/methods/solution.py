@@ -162,7 +162,7 @@ def solution_by_instruments(
     tests: tuple[float, float],
 ) -> Solution:
     """The solution of the pass that is returned with the robot that confirms it, how the passes
-    `ended`, from least squares on, and the `tests` of its instruments.
+    `ended`, from least squares on and without rows, and the `tests` of its instruments.
     """
     (best, confirmed), model = concluded, loop.model
     x = model.x_of(best.estimate, best.x)
@@ -183,7 +183,7 @@ def solution_by_instruments(
         status=status,
         reason=reason,
         start=loop.iteration.start,
-        passes=tuple(one.without_rows() for one in passes[1:]),
+        passes=tuple(passes[1:]),
         returned=best.number,
         strength=strength,
     )
