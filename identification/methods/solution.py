@@ -20,7 +20,6 @@ from ..estimation import (
     intervals_of,
     not_below_white,
 )
-from ..model import direct_model_of_base, why_not_positive
 from ..regression import (
     FilteredMotion,
     Lag,
@@ -30,6 +29,7 @@ from ..regression import (
     fast_size,
     rows_of_recording,
     sample_weights,
+    why_not_simulated,
 )
 from ..report import (
     DirectModelResidual,
@@ -237,9 +237,8 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
     """Why the simulation with the final estimate does not confirm it; None if it does."""
     x = model.x_of(best.estimate, best.x)
     reasons = [
-        (of.signals.recording, why_not_positive(robot.inertia(of.poses)))
-        for of, beta in [(one.problem, one.arm.beta(x)) for one in model.equations]
-        for robot in [direct_model_of_base(of.model, of.base, beta)]
+        (one.problem.signals.recording, why_not_simulated(one.problem, one.arm, x))
+        for one in model.equations
     ]
     if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"
