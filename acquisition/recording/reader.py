@@ -171,18 +171,18 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     found, cut, sha256 = read_content(path)
     attachments, topics = found.attachments, found.messages
     note = " (the file is cut before its description)" if cut else ""
-    expected = (
-        "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a "
-        "ROS 2 bag, and `mcap filter` keeps with --include-metadata --include-attachments"
-    )
-    metadata = place.given(
-        found.metadata, text=f"holds no metadata record 'recording'{note}", expected=expected
-    )
-    place.require(
-        "robot.toml" in attachments,
-        text=f"holds no robot.toml{note}",
-        expected="the robot's description as an attachment",
-    )
+    if (metadata := found.metadata) is None:
+        place.refuse(
+            text=f"holds no metadata record 'recording'{note}",
+            expected="a recording of robot-acquire, which `robot-acquire import --topic NAME` "
+            "makes of a ROS 2 bag, and `mcap filter` keeps with --include-metadata "
+            "--include-attachments",
+        )
+    if "robot.toml" not in attachments:
+        place.refuse(
+            text=f"holds no robot.toml{note}",
+            expected="the robot's description as an attachment",
+        )
     robot = robot_from_files(attachments, f"{path}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
     if unit != expected:
@@ -199,11 +199,10 @@ def read_recording(path: str | PathLike[str]) -> Recording:
             frames[match[1]] = rows_of(blocks, [FRAME], where)
             check_frames(frames[match[1]], where)
     events, health = events_of(topics, path)
-    captured = topics.get(CAPTURE_TOPIC)
     return Recording(
         samples=samples,
         frames=frames,
-        capture=captured.data.whole() if captured is not None else b"",
+        capture=topics[CAPTURE_TOPIC].data.whole() if CAPTURE_TOPIC in topics else b"",
         events=events,
         health=health,
         metadata=metadata,
@@ -222,21 +221,18 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     """
     earlier = _EXTRA.fullmatch(blocks.layout)
     text, skipped = (f"{earlier[1]}]", int(earlier[2])) if earlier else (blocks.layout, 0)
-    dtype = Location(place).given(
-        next((layout for layout in known if repr(layout.descr) == text), None),
-        text=f"layout {blocks.layout[:200]!r}",
-        expected=str(known[-1].descr),
-    )
+    if (dtype := next((one for one in known if repr(one.descr) == text), None)) is None:
+        Location(place).refuse(
+            text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr)
+        )
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
-    Location(place).require(
-        all(end % whole.itemsize == 0 for end in blocks.ends),
-        text=f"{blocks.data.tell()} bytes",
-        expected=f"blocks of whole rows of {whole.itemsize} bytes",
-    )
-    rows = np.frombuffer(blocks.data.whole(), whole)
-    rows = rows[list(dtype.names or ())] if skipped else rows
-    rows.flags.writeable = False
-    return rows
+    if any(end % whole.itemsize for end in blocks.ends):
+        Location(place).refuse(
+            text=f"{blocks.data.tell()} bytes",
+            expected=f"blocks of whole rows of {whole.itemsize} bytes",
+        )
+    rows = np.frombuffer(blocks.data.whole(), whole)  # of bytes, hence read-only
+    return rows[list(dtype.names or ())] if skipped else rows
 
 
 def events_of(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Ints, first_true
+from ..arrays import Ints
 from ..errors import Location, holding
 from ..files import by_rows, kept, release_pages
 from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
@@ -109,10 +109,10 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
     """
     for k, rows in enumerate(in_parts(samples)):
         stamps = rows["stamp_ns"]
-        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
-        if (row := first_true(bad)) is not None:
-            Location(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
-                "stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}"
+        before = np.concatenate([[after_ns], stamps[:-1]])
+        if len(bad := np.flatnonzero((stamps <= before) | (stamps > MAX_STAMP_NS))):
+            Location(f"{place}: row {k * _AT_ONCE + bad[0] + 1}").refuse(
+                "stamp_ns", int(stamps[bad[0]]), f"growing stamps from 0 to {MAX_STAMP_NS}"
             )
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
@@ -129,9 +129,9 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
 def check_frames(frames: Block, place: str) -> None:
     """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
     for k, rows in enumerate(in_parts(frames)):
-        if (row := first_true((rows["length"] > 8) | (rows["time_ns"] < 0))) is not None:
-            Location(f"{place}: row {k * _AT_ONCE + row + 1}").refuse(
-                text=f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}",
+        if len(bad := np.flatnonzero((rows["length"] > 8) | (rows["time_ns"] < 0))):
+            Location(f"{place}: row {k * _AT_ONCE + bad[0] + 1}").refuse(
+                text=f"length = {rows['length'][bad[0]]}, time_ns = {rows['time_ns'][bad[0]]}",
                 expected="8 bytes at most and a time from 0",
             )
 

@@ -137,7 +137,7 @@ def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "resul
     """
     from .. import data, methods, report, results
 
-    sources, prior = shared.sources(options), None
+    overrides, sources, prior = from_options(Overrides, options), shared.sources(options), None
     if options.consistent:
         robot = sources[0].load().robot
         if not options.gains:
@@ -151,7 +151,7 @@ def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "resul
         )
     fit = results.identify(
         data.Recordings(sources=tuple(sources), work=shared.work_of(options, len(sources))),
-        from_options(Overrides, options),
+        overrides,
         method=options.method,
         essential=options.essential,
         iteration=iteration,

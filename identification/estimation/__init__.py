@@ -16,6 +16,7 @@ from .confidence import (
     deviations,
     deviations_of_sums,
     differs,
+    essential_names,
     intervals_from,
     intervals_of,
     not_below_white,
@@ -62,7 +63,6 @@ from .system import (
     r_factor,
     release_memory,
     spans_at,
-    spans_of,
     stacked,
     undetermined_parameters,
 )

@@ -9,11 +9,12 @@ the cosines of the lowest frequencies measure it.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
+from ..report import FTest
 from .diagnostics import f_tail, t_quantile
 from .estimators import Estimate
 from .system import System
@@ -100,6 +101,12 @@ def not_below_white(estimate: Estimate, found: Intervals) -> Array:
     few cosines are small by chance.
     """
     return np.maximum(found.sigma, NORMAL_REACH * estimate.sigma / found.reach)
+
+
+def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
+    """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
+    certain = compress(estimate.names, found.half < np.abs(estimate.beta))
+    return tuple(name for name in certain if name in essential.names)
 
 
 def combined(

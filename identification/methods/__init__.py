@@ -12,5 +12,5 @@ from .idim import solve
 from .iteration import Iteration, regular_start
 from .model import Model, ProgressCallback, read_model
 from .passes import Pass
-from .solution import Solution, direct_errors, essential_names, largest
+from .solution import Solution, direct_errors, largest
 from .start import least_squares, with_best_ramps

@@ -175,8 +175,8 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:
         x, asked = next_values(loop, passes)
-        say(f"pass {len(passes)}: simulating the robot")
         passes = [one.without_rows() for one in passes]
+        say(f"pass {len(passes)}: simulating the robot")
         try:
             passes += [loop.next_pass(passes, x, asked)]
         except NoFitError as error:
@@ -187,10 +187,10 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
                 ) from error
             break
     best, confirmed = conclude(loop, passes)
-    tests = tests_of(best)
+    tests, passes = tests_of(best), [one.without_rows() for one in passes]
     ended = status_of(model, passes[-1], (best, confirmed), tests[1], failure)
     if (alone := by_reference(loop, best, ended)) is not None:
         best, confirmed = replace(alone, number=len(passes)), alone.z
-        passes, tests = [*passes, best], tests_of(best)
+        passes, tests = [*passes, best.without_rows()], tests_of(best)
         ended = status_of(model, best, (best, confirmed), tests[1], None)
     return solution_by_instruments(loop, (best, confirmed), passes, ended, tests)

@@ -5,7 +5,6 @@ for position noise, by simulation and extrapolation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
 
 import numpy as np
 
@@ -16,11 +15,11 @@ from ..estimation import (
     Estimate,
     Intervals,
     changes_of,
+    essential_names,
     intervals_from,
     intervals_of,
     not_below_white,
 )
-from ..model import direct_model_of_base, why_not_positive
 from ..regression import (
     FilteredMotion,
     Lag,
@@ -30,6 +29,7 @@ from ..regression import (
     fast_size,
     rows_of_recording,
     sample_weights,
+    why_not_simulated,
 )
 from ..report import (
     DirectModelResidual,
@@ -89,12 +89,6 @@ class Solution:
     method_reason: str = "as requested"
 
 
-def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
-    """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    certain = compress(estimate.names, found.half < np.abs(estimate.beta))
-    return tuple(name for name in certain if is_base(name) and name in essential.names)
-
-
 def inputs_of(
     model: Model,
     method: Method,
@@ -122,7 +116,7 @@ def inputs_of(
         least_squares=full,
         candidates=candidates,
         lags=lags,
-        essential=essential_names(essential, estimate, within),
+        essential=tuple(filter(is_base, essential_names(essential, estimate, within))),
         made={
             "fixed point": FIXED_POINT.judge({"least squares": True}),
             "control law": control_law_line(problems, model.laws),
@@ -168,7 +162,7 @@ def solution_by_instruments(
     tests: tuple[float, float],
 ) -> Solution:
     """The solution of the pass that is returned with the robot that confirms it, how the passes
-    `ended`, from least squares on, and the `tests` of its instruments.
+    `ended`, from least squares on and without rows, and the `tests` of its instruments.
     """
     (best, confirmed), model = concluded, loop.model
     x = model.x_of(best.estimate, best.x)
@@ -189,7 +183,7 @@ def solution_by_instruments(
         status=status,
         reason=reason,
         start=loop.iteration.start,
-        passes=tuple(one.without_rows() for one in passes[1:]),
+        passes=tuple(passes[1:]),
         returned=best.number,
         strength=strength,
     )
@@ -243,9 +237,8 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
     """Why the simulation with the final estimate does not confirm it; None if it does."""
     x = model.x_of(best.estimate, best.x)
     reasons = [
-        (of.signals.recording, why_not_positive(robot.inertia(of.poses)))
-        for of, beta in [(one.problem, one.arm.beta(x)) for one in model.equations]
-        for robot in [direct_model_of_base(of.model, of.base, beta)]
+        (one.problem.signals.recording, why_not_simulated(one.problem, one.arm, x))
+        for one in model.equations
     ]
     if (reason := join_reasons(reasons)) is not None:
         return f"the final estimate cannot be simulated: {reason}"

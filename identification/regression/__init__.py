@@ -58,5 +58,6 @@ from .terms import (
     recorded_power,
     rigid_torque_at_rows,
     row_states,
+    why_not_simulated,
 )
 from .unknowns import Arm, Unknowns, base_places, make_unknowns

@@ -38,7 +38,13 @@ from ..estimation import (
     t_quantile,
     weights_of,
 )
-from ..model import SHAPES, direct_model_of_base, friction_power, shaped_states
+from ..model import (
+    SHAPES,
+    direct_model_of_base,
+    friction_power,
+    shaped_states,
+    why_not_positive,
+)
 from .blocks import MotionBlock, motion_blocks
 from .motion import Lag
 from .problem import Problem
@@ -164,6 +170,13 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
     return direct_model_of_base(problem.model, problem.base, beta).torques_of_links(q, dq, ddq)
+
+
+def why_not_simulated(problem: Problem, arm: Arm, x: Array) -> str | None:
+    """Why the robot of x (p,) cannot be simulated in a recording; None if it can."""
+    return why_not_positive(
+        direct_model_of_base(problem.model, problem.base, arm.beta(x)).inertia(problem.poses)
+    )
 
 
 def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:

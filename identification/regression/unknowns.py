@@ -180,11 +180,6 @@ class Unknowns:
         """Whether the free unknowns are the base parameters of every recording."""
         return self.names == self.arms[0].names and not any(arm.payload for arm in self.arms)
 
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of the base parameters that are of one recording each."""
-        return tuple(filter(is_own, self.names))
-
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
         """By recording what is simulated for x: base parameters (b,), their covariance without the
         payload, and the share (b,) of the body nearest to the payload in them. C: covariance of x.

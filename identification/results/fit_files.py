@@ -40,8 +40,8 @@ def fit_file(fit: Evidence) -> report.FitFile:
             if name in robot.files
         },
         **_trust_keys(fit),
-        **_estimate_keys(fit),
         **(_iv_keys(fit) if fit.passes else {}),
+        **_estimate_keys(fit),
     )
 
 
@@ -83,6 +83,12 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
             for line in lines
             if line.test == "physical" and line.level != "ok"
         ],
+        "held_out_error_percent": fit.held_out_error_percent,
+        "prior_source": fit.data.prior_source or UNSET,
+        "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
+        "least_squares_error_percent": errors_on(by_ls)[-1].relative_error_percent
+        if by_ls
+        else UNSET,
         # that of the first recording; others of several may have their own
         "lag": next(
             (
@@ -102,12 +108,6 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
             ),
             UNSET,
         ),
-        "held_out_error_percent": fit.held_out_error_percent,
-        "prior_source": fit.data.prior_source or UNSET,
-        "prior_held_out_error_percent": fit.data.prior_error_percent if fit.data.prior else UNSET,
-        "least_squares_error_percent": errors_on(by_ls)[-1].relative_error_percent
-        if by_ls
-        else UNSET,
     }
 
 
@@ -201,6 +201,7 @@ def _recording(one: FitOnRecording) -> report.RecordingOfFit:
 def _iv_keys(fit: Evidence) -> dict[str, Any]:
     """The keys of the instrumental variable method."""
     return {
+        "rows_used_percent": float(100 * fit.data.observed.counts.mean()),
         "reason": fit.solution.reason,
         "pass_returned": fit.solution.returned,
         "start": fit.solution.start,
@@ -221,6 +222,8 @@ def _iv_keys(fit: Evidence) -> dict[str, Any]:
             )
             for p in fit.passes
         ],
+        "direct_model": list(fit.direct),
+        "saturated_percent": fit.saturated_percent,
         "instrument_tests": {
             "strength": fit.solution.strength,
             "first_stage_F": fit.data.first_stage_F,
@@ -228,9 +231,6 @@ def _iv_keys(fit: Evidence) -> dict[str, Any]:
         "contrast_half_widths": fit.contrast[0],
         "contrast_parameter": fit.contrast[1],
         "least_squares": list(fitted_parameters(fit, by_ls=True).parameters.values()),
-        "rows_used_percent": float(100 * fit.data.observed.counts.mean()),
-        "saturated_percent": fit.saturated_percent,
-        "direct_model": list(fit.direct),
     }
 
 

@@ -29,12 +29,13 @@ PARAMETERS = "parameters"  # title of the section of all values
 
 def fit_document(fit: FitFile) -> Document:
     """The file of a fit as a report, the verdict first."""
+    finding = Trust(lines=tuple(fit.trust)).finding if fit.trust else ""
     held, several = known(fit.held_out_error_percent), fit.recordings or ()
     percents = shared.half_width_percents(fit.parameters)
     assert fit.provenance is not None
     prior = {f"held out, links of the {fit.prior_source}": known(fit.prior_held_out_error_percent)}
     return Document(
-        title=f"{fit.provenance.robot}: {first_line(fit, held, percents)}",
+        title=f"{fit.provenance.robot}: {first_line(fit, finding, held, percents)}",
         badge=fit.verdict or "",
         figures=shared.main_figures(fit.moving_relative_error_percent, held, prior, percents),
         sections=(
@@ -63,9 +64,10 @@ def fit_document(fit: FitFile) -> Document:
     )
 
 
-def first_line(fit: FitFile, held: float | None, percents: Mapping[str, float]) -> str:
+def first_line(
+    fit: FitFile, finding: str, held: float | None, percents: Mapping[str, float]
+) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
-    finding = Trust(lines=tuple(fit.trust)).finding if fit.trust else ""
     verdict = ": ".join(text for text in (fit.verdict, finding) if text)
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     # the status alone has no reason where instruments are those of a simulated robot

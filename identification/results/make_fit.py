@@ -28,7 +28,6 @@ from ..estimation import (
     one_thread,
     parameter_certainty,
     relative_residual,
-    spans_of,
 )
 from ..methods import Iteration, Model, ProgressCallback, Solution, solve
 from ..model import LINK, BaseParameters, InverseModel, expected_links, physical_parameters
@@ -41,6 +40,7 @@ from ..report import (
     PayloadOfFit,
     StandardParameter,
     base_name,
+    is_own,
 )
 from ..trust import MIN_FIRST_STAGE_F, TrustInputs, trust_in, with_predictions
 from .evidence import Evidence, FitOnRecording, errors_on, validated
@@ -80,7 +80,13 @@ def identify(
     data, held_out, (tau, predicted, counts, t_s) = with_predictions(
         solution.inputs, partial(model.torques, x, judged=True)
     )
-    parts = zip(data.problems, model.unknowns.arms, spans_of([*map(len, t_s)]), strict=True)
+    ends = np.cumsum([*map(len, t_s)])[:-1]
+    parts = zip(
+        data.problems,
+        model.unknowns.arms,
+        *(np.split(x, ends) for x in (tau, predicted, counts)),
+        strict=True,
+    )
     fitted = [
         FitOnRecording(
             problem=problem,
@@ -88,13 +94,13 @@ def identify(
             carried=arm.carried(data.estimate),
             beta=arm.values(data.estimate),
             t_s=t_s[k],
-            tau=tau[part],
-            tau_predicted=predicted[part],
-            counts=counts[part],
+            tau=tau,
+            tau_predicted=predicted,
+            counts=counts,
             held_out=held_out[k] if held_out else None,
             simulated=z[k] if z else None,
         )
-        for k, (problem, arm, part) in enumerate(parts)
+        for k, (problem, arm, tau, predicted, counts) in enumerate(parts)
     ]
     payloads, far = payloads_of(model, data)
     return Evidence(
@@ -140,7 +146,7 @@ def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones;
     None if there are none.
     """
-    if not (own := model.unknowns.own):
+    if not (own := tuple(filter(is_own, model.unknowns.names))):
         return None
     rows, names = model.rows(model.x_of(full, x)), [*map(base_name, full.names)]
     W, Y = rows.of(model.unknowns.arm).weighted(full.weights)
@@ -237,7 +243,7 @@ def _gain_warnings(signals: Signals) -> tuple[str, ...]:
 
 def gains_of(model: Model, data: TrustInputs) -> tuple[DriveGain, ...]:
     """The drive gains that were identified, in the order of their motors."""
-    of, robot = model.unknowns, model.problem.signals.robot
+    of, robot = model.unknowns, data.problems[0].signals.robot
     motors, places = [*of.motors], [data.estimate.names.index(name) for name in of.names[of.gains]]
     values = (robot.gain[motors] * data.estimate.beta[places]).tolist()
     widths = (np.abs(robot.gain[motors]) * data.intervals.half[places]).tolist()
@@ -258,7 +264,7 @@ def payloads_of(model: Model, data: TrustInputs) -> tuple[tuple[PayloadOfFit, ..
     """The payloads as the nearest bodies of positive density, and warnings of those that are near
     none.
     """
-    estimate, found, base = data.estimate, data.intervals, model.problem.base
+    estimate, found, problem = data.estimate, data.intervals, data.problems[0]
     payloads, far = list[PayloadOfFit](), list[str]()
     for one in model.unknowns.payloads:
         own = [estimate.names.index(name) for name in one.names if name in estimate.names]
@@ -276,8 +282,10 @@ def payloads_of(model: Model, data: TrustInputs) -> tuple[tuple[PayloadOfFit, ..
                 recording=name,
                 stated=stated.text,
                 parameters=list(standard_parameters(LINK, UNITS, values, half, prior)),
-                base_parameters=dict(zip(base.names, one.values(estimate).tolist(), strict=True)),
-                described=stated.describe(model.problem.signals.robot.joints[-1].name),
+                base_parameters=dict(
+                    zip(problem.base.names, one.values(estimate).tolist(), strict=True)
+                ),
+                described=stated.describe(problem.signals.robot.joints[-1].name),
                 given=["mass"] * (stated.mass_kg is not None)
                 + ["center"] * (stated.center_of_mass_m is not None),
                 mass_half_width_kg=stated.mass_half_width_kg or None,

@@ -18,8 +18,7 @@ from acquisition.robot import LowSpeed, Robot, load_robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
-from ..estimation import one_thread
-from ..methods import essential_names
+from ..estimation import essential_names, one_thread
 from ..model import (
     BaseParameters,
     InverseModel,

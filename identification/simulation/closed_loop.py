@@ -147,18 +147,21 @@ class ClosedLoop:
         start: tuple[Array, Array],
         *,
         fastest: Array,
+        gains: Array | None = None,
         substeps: int = 1,
     ) -> None:
         """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the
-        directions of Coulomb friction.
+        directions of Coulomb friction; `gains` (n,) factors on those of the loop.
 
         A controller period has `substeps` steps.
         """
         q, v = (np.array(x) for x in start)
         self._numbers = ARRAYS if len(q) > 1 or model.shapes or loop.computed_torque else FLOATS
         self._h, self._substeps = loop.period_s / substeps, substeps
-        self._control = Control(model, loop, q, v, self._numbers)
         self._friction = Friction(model, fastest, v, self._h, self._numbers)
+        self._control = Control(
+            model, loop if gains is None else loop.scaled(gains), q, v, self._numbers
+        )
         self._q, self._v, self._instants = self._numbers.own(q), self._numbers.own(v), 0
 
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error

@@ -201,7 +201,7 @@ def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMot
     """The motion q^ (N, n) at all samples of a recording, by the errors of those that a low-pass
     lets into its span.
     """
-    (N, n), q, fs, found = r.shape, signals.q, signals.sample_rate_hz, allocate(r.shape)
+    (N, n), q, fs = r.shape, signals.q, signals.sample_rate_hz
     reach = lowpass_reach(rule_cutoff_hz(signals), fs)
     within = range(max(0, start - reach), min(N, stop + reach))
     late, every = [round(delay_s * fs) for delay_s in DELAYS_S], -(-len(within) // MOST_SAMPLES)
@@ -220,6 +220,7 @@ def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMot
     R = r_factor(np.concatenate([r_factor(np.c_[columns(at), q[at] - r[at]]) for at in blocks]))
     size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
     effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
+    found = allocate(r.shape)
     for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):
         found[at] = r[at] + columns(at) @ effects
         for x in (q, r, found):

@@ -91,9 +91,7 @@ class SimulatedRecording:
         recording, or a reference of another recording.
         """
         self.problem = problem = problem.with_samples()
-        self._gain_update, self.saturated = gain_update, saturated_percents(problem)
-        self._late_s = 0.0 if law is None else law.common_delay_s
-        refuse_foreign_reference(problem, self.saturated)
+        refuse_foreign_reference(problem)
         signals, settings, robot = problem.signals, problem.settings, problem.robot
         fs, n_d, hz = signals.sample_rate_hz, settings.decimator.factor, robot.bandwidth_hz
         step_hz, self.cutoff_hz = rate_per_bandwidth * hz, rule_cutoff_hz(signals)
@@ -105,9 +103,11 @@ class SimulatedRecording:
         self.N = -(-len(settings.used) // self.stride)
         self.first = settings.used.stop - 1 - (self.N - 1) * self.stride
         self.start = problem.motion.between(self.first, self.first + 1, self.cutoff_hz)
-        loop = law_of_recording(robot, signals, law)
+        self._gain_update, self.saturated = gain_update, saturated_percents(problem)
         M = self.model_of(prior).inertia(problem.poses)
-        self.prior = inertias(M)
+        self.prior, not_positive = inertias(M), why_not_positive(M)
+        self._late_s = 0.0 if law is None else law.common_delay_s
+        loop = law_of_recording(robot, signals, law)
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
             self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
@@ -117,10 +117,9 @@ class SimulatedRecording:
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
         duration_s = (self.N - 1) * self.stride / fs
         refuse_instants(problem, loop.period_s, duration_s, self.substeps)
-        self.loop = (
-            loop if loop.kind == "surrogate" or why_not_positive(M) else loop.slower(M, FINE * hz)
-        )
+        self.loop = loop if loop.kind == "surrogate" or not_positive else loop.slower(M, FINE * hz)
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
+        self._middle = self.loop.middle
         # of a short recording made once
         self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
         low, high, fastest = zip(
@@ -151,11 +150,17 @@ class SimulatedRecording:
         controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
         reference, or None.
         """
-        gains, reason = self.gains(model := self.model_of(beta))
+        (gains, reason), m = self.gains(model := self.model_of(beta)), self.substeps
         if reason is not None:
             return np.zeros((4, 0, len(gains))), gains, reason
-        loop, start, m = self.loop.scaled(gains), (self.start.q[0], self.start.dq[0]), self.substeps
-        robot = ClosedLoop(model, loop, start, fastest=self.fastest, substeps=m)
+        robot = ClosedLoop(
+            model,
+            self.loop,
+            (self.start.q[0], self.start.dq[0]),
+            fastest=self.fastest,
+            gains=gains,
+            substeps=m,
+        )
         path = np.zeros(0) if self._whole else allocate((4, self.instants * m, len(gains)))
         for first, x in self._inputs():
             part, reason = robot.follow(x, self.bound)
@@ -178,7 +183,7 @@ class SimulatedRecording:
                 steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
                 # The acceleration is that of the middle of a step; a torque stands for the middle
                 # of the controller's instants.
-                each = zip((0.0, 0.0, 0.5, self.loop.middle), along, strict=True)
+                each = zip((0.0, 0.0, 0.5, self._middle), along, strict=True)
                 q, dq, ddq, tau = (_on_lines(steps - early, series) for early, series in each)
                 x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
                 if self.instants > CHUNK:
@@ -263,9 +268,9 @@ def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, Bool
     return np.where(held, largest, travel), held
 
 
-def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> None:
-    """Refuse a reference far from the measured position: of another recording, or in other units;
-    `saturated`: as of `saturated_percents`.
+def refuse_foreign_reference(problem: Problem) -> None:
+    """Refuse a reference far from the measured position: of another recording, or in other
+    units.
     """
     signals, joints = problem.signals, problem.signals.robot.joints
     if signals.q_ref is None:
@@ -283,7 +288,7 @@ def refuse_foreign_reference(problem: Problem, saturated: dict[str, float]) -> N
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
     # a drive at its limit does not follow
-    if far.any() and max(saturated.values(), default=0) <= MIN_SATURATED_PERCENT:
+    if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
         j, unstated = int(far.argmax()), unstated_limits(problem)
         raise BadInputError(
             f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "

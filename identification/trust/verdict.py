@@ -52,7 +52,7 @@ def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) ->
     stated = [
         f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
     ]
-    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / fs
+    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimator.factor / fs
     holds = {
         "drive gains": robot.gain_known and not evidence.gains,
         "efforts": True,

@@ -11,7 +11,7 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.methods import essential_names
+from identification.estimation import essential_names
 from identification.report import Section
 from identification.results import (
     fit_document,

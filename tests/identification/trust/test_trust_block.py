@@ -29,10 +29,10 @@ from identification.estimation import (
     FINE_SPANS,
     SPANS,
     autoregression,
+    essential_names,
     instrumental_variables,
     intervals_of,
 )
-from identification.methods import essential_names
 from identification.regression import (
     Overrides,
     equation_alone,
