@@ -221,15 +221,13 @@ def status_of(
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
     if unconfirmed is not None:
         return "diverged", unconfirmed
-    moving = (
-        ""
-        if last.parameters_settled
-        else f"{last.changed} still changes by {last.change_sigma:.2g} sigma",
-        ""
-        if last.residual_change_percent is None
-        else f"the residual norm still changes by {last.residual_change_percent:.2g} %",
-    )
-    text = " and ".join(filter(None, moving)) or "only the start is known"
+    moving = list[str]()
+    if not last.parameters_settled:
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+    if last.residual_change_percent is not None:
+        percent = last.residual_change_percent
+        moving.append(f"the residual norm still changes by {percent:.2g} %")
+    text = " and ".join(moving) or "only the start is known"
     return "max_iterations", f"after {last.number} passes {text}"
 
 

@@ -14,6 +14,7 @@ from .blocks import (
     weights_at,
 )
 from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, lowpass_reach
+from .lag import LAG_ORDERS, combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
     NOTHING,
@@ -51,10 +52,7 @@ from .settings import (
     with_bandwidth,
 )
 from .terms import (
-    LAG_ORDERS,
-    combined_lag,
     friction_states,
-    lags_in,
     recorded_power,
     rigid_torque_at_rows,
     row_states,

@@ -22,8 +22,9 @@ from ..data import HERE, Work
 from ..estimation import SpanRows, System, by_joint, one_thread, stacked
 from ..report import is_gain, motor_of
 from .blocks import Candidate, MotionBlock, motion_blocks, predicted_torque, sample_weights
+from .lag import LagFilters, fast_for_lag
 from .problem import Problem
-from .terms import Drives, LagFilters, Load, fast_for_lag, load_of
+from .terms import Drives, Load, load_of
 from .unknowns import Arm, Stated, Unknowns, make_unknowns
 
 MOST_AT_ONCE = 16  # blocks that are sent to workers: a block has some 10 MB

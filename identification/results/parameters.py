@@ -1,5 +1,5 @@
-"""Parameters of a fit, known values, and those of a stored fit for another recording or
-robot, with its settings.
+"""Parameters of a fit, known values, a-priori links and drive gains that are asked for, and the
+parameters of a stored fit for another recording or robot, with its settings.
 """
 
 from collections.abc import Sequence

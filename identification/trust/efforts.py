@@ -21,9 +21,8 @@ from .evidence import Case, TrustInputs, Words, assume, figures_of, worst_of
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
 MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error
-
-
-MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
+# Of identified gains:
+MAX_HALF_PERCENT = 10.0  # of one; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
 # no smaller one is reported; larger where 3 deviations of the median show it

@@ -21,7 +21,7 @@ from identification.data import Recordings, Signals, load_signals
 from identification.estimation import SpanRows
 from identification.methods.iteration import with_lags_found
 from identification.regression import Overrides, make_problem, motion_blocks, sampled_at
-from identification.regression.terms import LAG_ORDERS, LagFilters
+from identification.regression.lag import LAG_ORDERS, LagFilters
 from identification.report import TrustResult
 from identification.results import Evidence, identify, identify_ls
 from identification.trust import trust_in
