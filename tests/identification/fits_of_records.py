@@ -3,6 +3,7 @@
 Not for a test that patches the method: others would be given its fit.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.regression.filtering import lowpass
 from identification.results import Evidence, fit_file, identify_iv, identify_ls
 from identification.view import draw_fit
 from identification.view.panels import Picture
@@ -19,6 +21,22 @@ from identification.view.panels import Picture
 @cache
 def signals_of(path: Path) -> Signals:
     return load_signals(path)
+
+
+@cache
+def thinned(path: Path) -> Signals:
+    """The recording with a tenth of its samples, low-pass filtered at 200 Hz."""
+    whole = signals_of(path)
+    rate_hz, series = whole.sample_rate_hz, {x: getattr(whole, x) for x in ("q", "effort")}
+    thin = {name: lowpass(x, 200.0, rate_hz)[::10] for name, x in series.items()}
+    return replace(whole, **thin, t_s=whole.t_s[::10], sample_rate_hz=rate_hz / 10)
+
+
+def cut(signals: Signals, *rows: int | None) -> Signals:
+    """The samples of `slice(*rows)` alone."""
+    series = {name: getattr(signals, name) for name in ("t_s", "q", "q_ref", "effort")}
+    parts = {name: x[slice(*rows)] for name, x in series.items() if x is not None}
+    return replace(signals, **parts)
 
 
 @cache
