@@ -17,6 +17,8 @@ from identification.results import Evidence, fit_file, identify_iv, identify_ls
 from identification.view import draw_fit
 from identification.view.panels import Picture
 
+SERIES = "t_s", "q", "q_ref", "effort", "measured"
+
 
 @cache
 def signals_of(path: Path) -> Signals:
@@ -34,7 +36,7 @@ def thinned(path: Path) -> Signals:
 
 def cut(signals: Signals, *rows: int | None) -> Signals:
     """The samples of `slice(*rows)` alone."""
-    series = {name: getattr(signals, name) for name in ("t_s", "q", "q_ref", "effort")}
+    series = {name: getattr(signals, name) for name in SERIES}
     parts = {name: x[slice(*rows)] for name, x in series.items() if x is not None}
     return replace(signals, **parts)
 
