@@ -12,10 +12,13 @@ import numpy as np
 from identification.data import Signals, load_signals
 from identification.methods import Iteration
 from identification.regression import Overrides
+from identification.regression.filtering import lowpass
 from identification.results import Evidence, fit_file, identify_iv, identify_ls
 from identification.study import write_signals
 from identification.view import draw_fit
 from identification.view.panels import Picture
+
+SERIES = "t_s", "q", "q_ref", "effort", "measured"
 
 
 @cache
@@ -29,6 +32,22 @@ def short_recording(path: Path, of: Path, samples: int = 5000) -> Path:
     part = {name: getattr(whole, name)[:samples] for name in ("t_s", "q", "q_ref", "effort")}
     write_signals(path, replace(whole, **part), source="a part of another")
     return path
+
+
+@cache
+def thinned(path: Path) -> Signals:
+    """The recording with a tenth of its samples, low-pass filtered at 200 Hz."""
+    whole = signals_of(path)
+    rate_hz, series = whole.sample_rate_hz, {x: getattr(whole, x) for x in ("q", "effort")}
+    thin = {name: lowpass(x, 200.0, rate_hz)[::10] for name, x in series.items()}
+    return replace(whole, **thin, t_s=whole.t_s[::10], sample_rate_hz=rate_hz / 10)
+
+
+def cut(signals: Signals, *rows: int | None) -> Signals:
+    """The samples of `slice(*rows)` alone."""
+    series = {name: getattr(signals, name) for name in SERIES}
+    parts = {name: x[slice(*rows)] for name, x in series.items() if x is not None}
+    return replace(signals, **parts)
 
 
 @cache

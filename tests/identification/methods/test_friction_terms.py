@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_runs import refused
 from conftest import REPLAY
-from fits_of_records import signals_of
+from fits_of_records import signals_of, thinned
 from friction_models import (
     EVERY,
     USUAL,
@@ -38,7 +38,6 @@ from identification.export import replace_in_tables
 from identification.methods import least_squares
 from identification.model import JointTerm
 from identification.regression import Overrides, recorded_power
-from identification.regression.filtering import lowpass
 from identification.results import identify, identify_ls, with_consistent
 from identification.study import write_signals
 
@@ -393,14 +392,7 @@ def test_irreplaceable_description_unchanged(tmp_path, capsys):
 
 
 def test_tx40_needs_root_and_load_friction(tx40):
-    signals = signals_of(tx40)
-    thin = {
-        x: lowpass(getattr(signals, x), 200.0, signals.sample_rate_hz)[::10]
-        for x in ("q", "effort")
-    }
-    signals = dataclasses.replace(
-        signals, **thin, t_s=signals.t_s[::10], sample_rate_hz=signals.sample_rate_hz / 10
-    )
+    signals = thinned(tx40)
     choice = select_friction(signals, Overrides())
     terms = choice.recommended.terms
     assert "load" in terms[2]

@@ -30,28 +30,28 @@ from identification.results import identify_iv
 CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent=1.0)
 
 
+LIMITS = 38.0, 100.0  # N m, of the run that saturates
+
+
 @cache
-def simulated(saturation: tuple[float, float] | None) -> Runs:
-    """6 s of the SCARA, friction close to dry, three times: as it is, and with one of its joints
-    held by its reference.
+def simulated() -> Runs:
+    """6 s of the SCARA, friction close to dry, four times: as it is, with one of its joints held by
+    its reference, and with drives that saturate.
     """
     body = plant(REPLAY / "scara" / "robot.toml", smooth=0.0005)
     path = references(body, range(6, 7), duration_s=6.0, rate_hz=1000.0)
-    q, dq, ddq = (np.repeat(x, 1 if saturation else 3, axis=0) for x in (path.q, path.dq, path.ddq))
-    for run in range(1, len(q)):
+    q, dq, ddq = (np.repeat(x, 4, axis=0) for x in (path.q, path.dq, path.ddq))
+    for run in (1, 2):
         q[run, :, run - 1] = q[run, 0, run - 1]
         dq[run, :, run - 1] = ddq[run, :, run - 1] = 0.0
-    controller = described_controller(body)
-    if saturation is not None:
-        controller = dataclasses.replace(controller, saturation=np.array(saturation))
+    limits = np.array([*[(np.inf, np.inf)] * 3, LIMITS])
+    controller = dataclasses.replace(described_controller(body), saturation=limits)
     return simulate(body, controller, Reference(q=q, dq=dq, ddq=ddq), CELL)
 
 
-def recorded(
-    limits: tuple[float, float] | None = None, *, held: int = -1, saturates: bool = False
-) -> Signals:
+def recorded(limits: tuple[float, float] | None = None, *, held: int = -1) -> Signals:
     """A run whose drives are described with limits in N m."""
-    return simulated(limits if saturates else None).signals(scara(limits), 1 + held)
+    return simulated().signals(scara(limits), 3 if limits == LIMITS else 1 + held)
 
 
 def scara(saturation: tuple[float, float] | None = None) -> Robot:
@@ -94,10 +94,9 @@ def test_held_joint_does_not_block_others(held):
 
 
 def test_saturated_reference_is_not_foreign():
-    limits = (38.0, 100.0)
-    signals = recorded(limits, saturates=True)
+    signals = recorded(LIMITS)
     fit = identify_iv(signals, Overrides(), Iteration())
-    share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
+    share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * LIMITS[0]).mean()
     # those between first and last motion count
     assert fit.saturated_percent == pytest.approx(share, abs=5)
     assert f"motor_1 (38 N m) in {fit.saturated_percent:.1f} % of the samples" in " ".join(

@@ -13,15 +13,15 @@ import pytest
 from command_runs import refused
 from conftest import REPLAY, robot_named
 from described_truth import truth_of
-from fits_of_records import iv_of, ls_of, signals_of
+from fits_of_records import iv_of, ls_of, signals_of, thinned
 
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.control import described_law
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError, RobotIdimError
-from identification.estimation import system
-from identification.methods import Iteration
+from identification.estimation import intervals_of, system
+from identification.methods import Iteration, solve
 from identification.model import (
     direct_model,
     why_not_positive,
@@ -57,7 +57,9 @@ def test_emps_converges_from_any_start(emps):
 
 
 def test_tx40_converges_in_three_iterations(tx40):
-    fit, ls = iv_of(tx40), ls_of(tx40)
+    """Of a tenth of its samples: rows are those of a cut-off at 50 Hz."""
+    signals = thinned(tx40)
+    fit, ls = identify_iv(signals, Overrides(), Iteration()), identify_ls(signals, Overrides())
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.passes) <= 4
     assert (fit.reference, fit.controller, fit.solution.start) == (
@@ -74,9 +76,9 @@ def test_tx40_converges_in_three_iterations(tx40):
 
 
 def test_no_gain_update_uses_reference_instruments(tx40):
+    starts = (Iteration(start="regular", gain_update=update) for update in (False, True))
     fit, updated = (
-        identify_iv(signals_of(tx40), Overrides(), Iteration(start="regular", gain_update=update))
-        for update in (False, True)
+        solve(thinned(tx40), Overrides(), method="iv", iteration=start) for start in starts
     )
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
     # does the method go on.
@@ -86,7 +88,7 @@ def test_no_gain_update_uses_reference_instruments(tx40):
     assert all(p.kind == "simulated" for p in updated.passes)
     assert updated.passes[0].tracking_percent < 5
     # Nor are the gains updated for the last simulation, that of the result.
-    first, second = (one.recordings[0].simulated.motion.q for one in (fit, updated))
+    first, second = (one.simulated[0].motion.q for one in (fit, updated))
     assert not np.array_equal(first, second)
 
 
@@ -121,17 +123,24 @@ def test_scara_with_and_without_filter():
 
 
 def test_time_blocks_limit_position_noise(monkeypatch):
-    """20 µm on the EMPS: half-widths by spans beside those by instants, in the mean of four."""
+    """20 µm on the EMPS: half-widths by spans beside those by instants, of the same rows, in the
+    mean of four.
+    """
     signals, rng = load_signals(REPLAY / "emps" / "session.mcap"), np.random.default_rng(0)
-    q, half = [signals.q + 20e-6 * rng.standard_normal(signals.q.shape) for _ in range(4)], []
-    for spans in (system.FINE_SPANS, 1_000_000):
-        monkeypatch.setattr(system, "FINE_SPANS", spans)
-        fits = (
-            identify_iv(dataclasses.replace(signals, q=x), Overrides(torque_lag_s=0.0), Iteration())
-            for x in q
+    half, count = [], system.FINE_SPANS
+    monkeypatch.setattr(system, "FINE_SPANS", 1_000_000)
+    for _ in range(4):
+        q = signals.q + 20e-6 * rng.standard_normal(signals.q.shape)
+        noisy = dataclasses.replace(signals, q=q)
+        fit = solve(noisy, Overrides(torque_lag_s=0.0), method="iv").inputs
+        rows, instants = fit.observed.system, int(fit.observed.system.spans[0][-1])
+        spans = dataclasses.replace(
+            rows,
+            span=rows.span * count // instants,
+            spans=(-(-np.arange(count + 1) * instants // count),),
         )
-        half.append([fit.intervals.half for fit in fits])
-    assert np.mean(np.divide(*np.mean(half, axis=1))) < 1.2
+        half.append([intervals_of(one, fit.estimate).half for one in (spans, rows)])
+    assert np.mean(np.divide(*np.mean(half, axis=0))) < 1.2
 
 
 def test_recordings_of_few_samples_fitted():
@@ -155,7 +164,7 @@ def test_recordings_of_few_samples_fitted():
 
 
 def test_wrong_torque_sign_does_not_converge():
-    signals, right = signals_of(SCARA), iv_of(SCARA)
+    signals, right = signals_of(SCARA), ls_of(SCARA)
     inertia = direct_model(right.problem.model, right.base.standard_parameters(right.beta)).inertia(
         signals.q[::500]
     )
@@ -184,12 +193,11 @@ def test_too_few_iterations_reported(most, tolerance, settled):
     """One pass on the parameters hardly change; held to a tolerance that nothing meets,
     they do not settle either.
     """
-    fit = identify_iv(
-        signals_of(SCARA), Overrides(), Iteration(max_iterations=most, tolerance_percent=tolerance)
-    )
-    assert (fit.solution.reason is None) == (settled is True)
+    passes = Iteration(max_iterations=most, tolerance_percent=tolerance)
+    fit = solve(signals_of(SCARA), Overrides(), method="iv", iteration=passes)
+    assert (fit.reason is None) == (settled is True)
     if settled is None:
-        assert (fit.status, fit.solution.reason) == (
+        assert (fit.status, fit.reason) == (
             "max_iterations",
             "after 1 passes only the start is known",
         )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import mujoco_arm
 import numpy as np
 import pytest
+from fits_of_records import cut
 from gain_cases import GainCase, fit_with_gains, gains_of, off_in_half_widths
 from planned_pairs import planned_pair
 
@@ -34,9 +35,10 @@ def test_wrong_payload_value_reported(off_m, mass_kg, told):
 
     The gains of the catalogue scatter by 15 %.
     """
-    fit = one_thread(fit_with_gains)(
-        *mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg)
-    )
+    pair = mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg)
+    # half of it names what is wrong
+    pair = [cut(one, len(one.q) // 2 if told else None) for one in pair]
+    fit = one_thread(fit_with_gains)(*pair)
     assert [line.test for line in fit.trust.lines if line.level == "caution"] == (
         [told] if told else []
     )

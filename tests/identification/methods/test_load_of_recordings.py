@@ -19,19 +19,20 @@ from identification.regression import (
 from identification.results import identify, identify_ls, with_consistent
 from identification.study import Noise
 
-TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
+TERMS = [
+    ["viscous", "coulomb", "offset", "root", "load"],
+    ["viscous", "coulomb", "offset", "load"],
+]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
-VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n"
+VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\nOff1 = 0.3\n"
 
 
 @cache
-def scara(own: str = ""):
+def scara(own: str):
     """The SCARA with load friction of both joints, and 3 recordings of it; offsets
     are shared or of each.
     """
-    offsets = "Off1 = 0.3\n" if own else ""
-    terms = [[*more[:2], "offset", *more[2:]] if own else more for more in TERMS]
-    robot = described("scara", terms, VALUES + offsets)
+    robot = described("scara", TERMS, VALUES)
     # The simulated mean has no lag; stated, sums by hand need not look for one.
     robot = dataclasses.replace(
         robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0)
@@ -40,11 +41,13 @@ def scara(own: str = ""):
         robot = dataclasses.replace(
             robot, identification=msgspec.structs.replace(robot.identification, own=(own,))
         )
+        sources = (dataclasses.replace(one, robot=robot) for one in scara("")[1].sources)
+        return robot, Recordings(sources=tuple(sources))
     return robot, simulated(robot, 3, 4, 5)
 
 
 @cache
-def fit_of(method: str, own: str = ""):
+def fit_of(method: str, own: str):
     return identify(scara(own)[1], Overrides(), method=method)
 
 
@@ -64,7 +67,7 @@ def test_truth_in_intervals_without_warnings(method, own):
 
 
 def test_consistent_parameters_use_same_terms():
-    made = with_consistent(fit_of("wls"))
+    made = with_consistent(fit_of("wls", ""))
     assert {"mu1", "mu2"} < {p.name for p in made.standard_parameters}
     assert made.consistent_set.relative_error_percent == pytest.approx(
         made.errors[-1].relative_error_percent, rel=0.05
@@ -75,7 +78,7 @@ def test_held_out_predicted_by_others():
     """Its load friction is linearised about the fit of all: nearly the error of a fit that
     knows the others alone.
     """
-    sources, fit = scara()[1].sources, fit_of("wls")
+    sources, fit = scara("")[1].sources, fit_of("wls", "")
     same = Overrides(ramp_rows=fit.settings.ramp_rows)
     others = identify_ls(Recordings(sources=sources[1:]), same)
     problem = make_problem(sources[0], Overrides()).for_errors
