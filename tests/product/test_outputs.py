@@ -10,8 +10,9 @@ from acquisition.files import kind_of
 from identification import read_fit, read_robot
 from identification.report import write_json
 
-SCARA, SESSION = REPLAY / "scara" / "robot.toml", REPLAY / "scara" / "session.mcap"
-AXIS = REPLAY / "emps" / "session.mcap"
+SCARA, SESSION, AXIS = (
+    REPLAY / path for path in ("scara/robot.toml", "scara/session.mcap", "emps/session.mcap")
+)
 FIT, FITS = REPLAY / "scara" / "fit.json", REPLAY / "tx40" / "fit.json"
 # Programs with a command, and its options that name an output.
 OUTPUTS = [
