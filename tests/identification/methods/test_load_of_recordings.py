@@ -41,8 +41,9 @@ def scara(own: str):
         robot = dataclasses.replace(
             robot, identification=msgspec.structs.replace(robot.identification, own=(own,))
         )
-        sources = (dataclasses.replace(one, robot=robot) for one in scara("")[1].sources)
-        return robot, Recordings(sources=tuple(sources))
+        return robot, Recordings(
+            sources=tuple(dataclasses.replace(one, robot=robot) for one in scara("")[1].sources)
+        )
     return robot, simulated(robot, 3, 4, 5)
 
 
