@@ -18,8 +18,6 @@ from identification.study import write_signals
 from identification.view import draw_fit
 from identification.view.panels import Picture
 
-SERIES = "t_s", "q", "q_ref", "effort", "measured"
-
 
 @cache
 def signals_of(path: Path) -> Signals:
@@ -37,17 +35,15 @@ def short_recording(path: Path, of: Path, samples: int = 5000) -> Path:
 @cache
 def thinned(path: Path) -> Signals:
     """The recording with a tenth of its samples, low-pass filtered at 200 Hz."""
-    whole = signals_of(path)
-    rate_hz, series = whole.sample_rate_hz, {x: getattr(whole, x) for x in ("q", "effort")}
-    thin = {name: lowpass(x, 200.0, rate_hz)[::10] for name, x in series.items()}
+    whole, rate_hz = signals_of(path), signals_of(path).sample_rate_hz
+    thin = {x: lowpass(getattr(whole, x), 200.0, rate_hz)[::10] for x in ("q", "effort")}
     return replace(whole, **thin, t_s=whole.t_s[::10], sample_rate_hz=rate_hz / 10)
 
 
 def cut(signals: Signals, *rows: int | None) -> Signals:
     """The samples of `slice(*rows)` alone."""
-    series = {name: getattr(signals, name) for name in SERIES}
-    parts = {name: x[slice(*rows)] for name, x in series.items() if x is not None}
-    return replace(signals, **parts)
+    series = ((x, getattr(signals, x)) for x in ("t_s", "q", "q_ref", "effort", "measured"))
+    return replace(signals, **{k: x[slice(*rows)] for k, x in series if x is not None})
 
 
 @cache

@@ -128,13 +128,21 @@ def run_fit(folder, names, *options):
 STATED = "2@0.05,0.02,0"
 
 
-@pytest.mark.parametrize("names", ["free_true loaded_true", "loaded_true"])
 @pytest.mark.parametrize(
-    "options",
-    ["--essential", "--essential --method ols", "--method ols", "--essential --consistent"],
+    ("names", "options"),
+    [
+        ("free_true loaded_true", "--essential"),
+        ("free_true loaded_true", "--method ols"),
+        ("free_true loaded_true", "--essential --consistent"),
+        ("loaded_true", "--method ols"),
+        ("loaded_true", "--essential --method ols"),
+        ("loaded_true", "--essential --consistent"),
+    ],
 )
 def test_loaded_essential_parameters_are_true(folder, tmp_path, names, options):
-    """With a payload that is stated; alone, its inertia, which is not, is the arm's."""
+    """With a payload that is stated; alone, its inertia, which is not, is the arm's. Each option
+    with both, and each pair of options.
+    """
     out = tmp_path / "fit.json"
     assert run_fit(folder, names, *options.split(), "--json", str(out)) == 0
     found = {p["name"]: p for p in json.loads(out.read_text())["parameters"]}

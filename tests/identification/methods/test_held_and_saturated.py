@@ -35,11 +35,11 @@ LIMITS = 38.0, 100.0  # N m, of the run that saturates
 
 @cache
 def simulated() -> Runs:
-    """6 s of the SCARA, friction close to dry, four times: as it is, with one of its joints held by
+    """4 s of the SCARA, friction close to dry, four times: as it is, with one of its joints held by
     its reference, and with drives that saturate.
     """
     body = plant(REPLAY / "scara" / "robot.toml", smooth=0.0005)
-    path = references(body, range(6, 7), duration_s=6.0, rate_hz=1000.0)
+    path = references(body, range(6, 7), duration_s=4.0, rate_hz=1000.0)
     q, dq, ddq = (np.repeat(x, 4, axis=0) for x in (path.q, path.dq, path.ddq))
     for run in (1, 2):
         q[run, :, run - 1] = q[run, 0, run - 1]

@@ -27,7 +27,7 @@ from identification.model import (
     why_not_positive,
 )
 from identification.regression import Overrides
-from identification.results import identify_iv, identify_ls
+from identification.results import identify, identify_iv, identify_ls
 from identification.study import Noise, closed_loop, random_reference
 
 RAW = Overrides(cutoff_hz=0)
@@ -58,8 +58,7 @@ def test_emps_converges_from_any_start(emps):
 
 def test_tx40_converges_in_three_iterations(tx40):
     """Of a tenth of its samples: rows are those of a cut-off at 50 Hz."""
-    signals = thinned(tx40)
-    fit, ls = identify_iv(signals, Overrides(), Iteration()), identify_ls(signals, Overrides())
+    fit, ls = (identify(thinned(tx40), Overrides(), method=method) for method in ("iv", "wls"))
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.passes) <= 4
     assert (fit.reference, fit.controller, fit.solution.start) == (
@@ -76,9 +75,14 @@ def test_tx40_converges_in_three_iterations(tx40):
 
 
 def test_no_gain_update_uses_reference_instruments(tx40):
-    starts = (Iteration(start="regular", gain_update=update) for update in (False, True))
     fit, updated = (
-        solve(thinned(tx40), Overrides(), method="iv", iteration=start) for start in starts
+        solve(
+            thinned(tx40),
+            Overrides(),
+            method="iv",
+            iteration=Iteration(start="regular", gain_update=update),
+        )
+        for update in (False, True)
     )
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference
     # does the method go on.
@@ -131,8 +135,9 @@ def test_time_blocks_limit_position_noise(monkeypatch):
     monkeypatch.setattr(system, "FINE_SPANS", 1_000_000)
     for _ in range(4):
         q = signals.q + 20e-6 * rng.standard_normal(signals.q.shape)
-        noisy = dataclasses.replace(signals, q=q)
-        fit = solve(noisy, Overrides(torque_lag_s=0.0), method="iv").inputs
+        fit = solve(
+            dataclasses.replace(signals, q=q), Overrides(torque_lag_s=0.0), method="iv"
+        ).inputs
         rows, instants = fit.observed.system, int(fit.observed.system.spans[0][-1])
         spans = dataclasses.replace(
             rows,
@@ -193,8 +198,12 @@ def test_too_few_iterations_reported(most, tolerance, settled):
     """One pass on the parameters hardly change; held to a tolerance that nothing meets,
     they do not settle either.
     """
-    passes = Iteration(max_iterations=most, tolerance_percent=tolerance)
-    fit = solve(signals_of(SCARA), Overrides(), method="iv", iteration=passes)
+    fit = solve(
+        signals_of(SCARA),
+        Overrides(),
+        method="iv",
+        iteration=Iteration(max_iterations=most, tolerance_percent=tolerance),
+    )
     assert (fit.reason is None) == (settled is True)
     if settled is None:
         assert (fit.status, fit.reason) == (

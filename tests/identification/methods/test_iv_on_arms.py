@@ -76,7 +76,7 @@ def test_unknown_loop_with_noise(whole):
         encoder_noise=5e-5, encoder_step=1e-5, torque_noise_percent=3.0, disturbance_percent=5.0
     )
     reference = references(body, range(count), duration_s=8.0 if whole else 4.0, rate_hz=1000.0)
-    runs = simulate(body, pi_loop(body, 10.0), reference, cell)
+    runs = simulate(body, pi_loop(body, 10.0), reference, cell, substeps=4 if whole else 2)
     found = list(fits(runs, description(REPLAY / "tx40" / "robot.toml")))
     settled = [half_widths_off(fit) for fit in found if fit.status in SETTLED]
     print(

@@ -308,7 +308,8 @@ def flat_arm() -> Signals:
     """The SCARA: gravity takes no part in its torques."""
     body = plant(REPLAY / "scara" / "robot.toml")
     path = references(body, range(1), duration_s=4.0, rate_hz=1000.0)
-    runs = simulate(body, described_controller(body), path, Imperfections(torque_noise_percent=2.0))
+    cell = Imperfections(torque_noise_percent=2.0)
+    runs = simulate(body, described_controller(body), path, cell, substeps=2)
     return runs.signals(robot_named("scara"), 0)
 
 

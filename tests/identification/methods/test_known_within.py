@@ -35,9 +35,11 @@ def test_wrong_payload_value_reported(off_m, mass_kg, told):
 
     The gains of the catalogue scatter by 15 %.
     """
-    pair = mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg)
     # half of it names what is wrong
-    pair = [cut(one, len(one.q) // 2 if told else None) for one in pair]
+    pair = [
+        cut(one, len(one.q) // 2 if told else None)
+        for one in mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg)
+    ]
     fit = one_thread(fit_with_gains)(*pair)
     assert [line.test for line in fit.trust.lines if line.level == "caution"] == (
         [told] if told else []

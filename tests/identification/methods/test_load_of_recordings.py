@@ -29,7 +29,7 @@ VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\nOff1 = 0.3\n"
 
 @cache
 def scara(own: str):
-    """The SCARA with load friction of both joints, and 3 recordings of it; offsets
+    """The SCARA with load friction of both joints, and two recordings of it; offsets
     are shared or of each.
     """
     robot = described("scara", TERMS, VALUES)
@@ -41,9 +41,10 @@ def scara(own: str):
         robot = dataclasses.replace(
             robot, identification=msgspec.structs.replace(robot.identification, own=(own,))
         )
-        sources = (dataclasses.replace(one, robot=robot) for one in scara("")[1].sources)
-        return robot, Recordings(sources=tuple(sources))
-    return robot, simulated(robot, 3, 4, 5)
+        return robot, Recordings(
+            sources=tuple(dataclasses.replace(one, robot=robot) for one in scara("")[1].sources)
+        )
+    return robot, simulated(robot, 3, 4)
 
 
 @cache

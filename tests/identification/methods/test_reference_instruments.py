@@ -53,6 +53,7 @@ def axis_runs() -> Runs:
         controller,
         references(body, range(2), duration_s=10.0, rate_hz=controller.rate_hz),
         cell,
+        substeps=2,
     )
 
 

@@ -287,9 +287,13 @@ def with_offsets(
     """The recordings with a torque offset of the shoulder each, described with
     offsets, `own` as asked.
     """
-    text = robot_named("scara").files["robot.toml"].decode()
-    text = text.replace("[[joint]]\n", "[[joint]]\noffset = true\n")
-    text += f"\n[identification]\nown = {[*kinds]}\ntorque_lag_s = 0.0\n"
+    text = (
+        robot_named("scara")
+        .files["robot.toml"]
+        .decode()
+        .replace("[[joint]]\n", "[[joint]]\noffset = true\n")
+        + f"\n[identification]\nown = {[*kinds]}\ntorque_lag_s = 0.0\n"
+    )
     robot = robot_from_files({"robot.toml": text.encode()}, "robot.toml")
     return [
         replace(one, robot=robot, effort=one.effort + np.array([value, 0.0]))

@@ -69,11 +69,6 @@ def measured(arm):
 
 
 @pytest.fixture(scope="module")
-def longer(arm):
-    return arm.measured(1, 2 * SECONDS, RATE_HZ)
-
-
-@pytest.fixture(scope="module")
 def driven(arm):
     return arm.driven(2, SECONDS, RATE_HZ)
 
@@ -115,9 +110,10 @@ def test_instruments_skip_lost_rows(arm, robot, driven, loss):
     fit = identify_iv(signals, Overrides(), Iteration())
     assert fit.status == "converged"
     assert worst_percent(arm, fit) < 0.2
-    believed = replace(signals, measured=None)
-    passes = Iteration(max_iterations=len(fit.passes))
-    assert worst_percent(arm, identify_iv(believed, Overrides(), passes)) > 1
+    believed = identify_iv(
+        replace(signals, measured=None), Overrides(), Iteration(max_iterations=len(fit.passes))
+    )
+    assert worst_percent(arm, believed) > 1
 
 
 def test_gap_rows_match_two_recordings(arm, robot, measured):
@@ -138,8 +134,8 @@ def test_gap_rows_match_two_recordings(arm, robot, measured):
     assert one.estimate.rows == pytest.approx(two.estimate.rows, rel=0.03)
 
 
-def test_errors_and_counts_use_measured_rows(robot, longer):
-    q, u = longer
+def test_errors_and_counts_use_measured_rows(arm, robot):
+    q, u = arm.measured(1, 2 * SECONDS, RATE_HZ)
     bursts = (np.arange(len(u)) - 250) % 500 < 30
     signals = signals_from_arrays(q, np.where(bursts[:, None], 0.0, u), RATE_HZ, robot)
     fit, clean = (
@@ -198,9 +194,10 @@ def test_losses_leaving_no_row_named(robot, measured):
 
 
 @pytest.mark.parametrize("stands", [2, 3, 5])
-def test_oversampled_arrays_thinned(arm, robot, longer, stands):
+def test_oversampled_arrays_thinned(arm, robot, stands):
     """Without a stated bandwidth, too, which is then found from the rows that are new."""
     unstated = replace(robot, controller=Controller())
+    longer = arm.measured(1, 2 * SECONDS, RATE_HZ)
     held = [x[np.arange(len(x)) // stands * stands] for x in longer]
     signals = signals_from_arrays(*held, RATE_HZ, unstated)
     assert signals.sample_rate_hz == pytest.approx(RATE_HZ / stands)
