@@ -26,9 +26,7 @@ def signals_of(path: Path) -> Signals:
 
 def short_recording(path: Path, of: Path, samples: int = 5000) -> Path:
     """Its first samples, for a command that takes any recording."""
-    whole = signals_of(of)
-    part = {name: getattr(whole, name)[:samples] for name in ("t_s", "q", "q_ref", "effort")}
-    write_signals(path, replace(whole, **part), source="a part of another")
+    write_signals(path, cut(signals_of(of), samples), source="a part of another")
     return path
 
 
