@@ -12,6 +12,7 @@ import os
 import sys
 import time
 import timeit
+from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -32,11 +33,19 @@ def is_listed(name: str, names: set[str]) -> bool:
     return name in names or name.split("[")[0] in names
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let xdist take files in the order of the tests."""
+    config.option.loadscopereorder = False
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark slow tests; files with many come first, so that at the end no worker has long ones."""
     names = listed()
-    for item in items:
-        if is_listed(item.nodeid, names):
-            item.add_marker("slow")
+    slow = [item for item in items if is_listed(item.nodeid, names)]
+    for item in slow:
+        item.add_marker("slow")
+    count = Counter(item.path for item in slow)
+    items.sort(key=lambda item: -count[item.path])
 
 
 def cpu_s() -> float:
