@@ -244,6 +244,6 @@ def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
     return [
         (slice(low, min(rows, last + margin)), slice(first - low, last - low))
-        for first, last in pairwise([*range(0, max(1, rows - margin), size), rows])
+        for first, last in pairwise([*range(0, max(1, rows - max(1, margin)), size), rows])
         for low in [max(0, first - margin)]
     ]

@@ -19,8 +19,9 @@ CELL = Imperfections(encoder_noise=1e-5, torque_noise_percent=1.0, recorded="mea
 
 
 def write(path: Path, header: str, separator: str, columns: list[np.ndarray]) -> None:
-    rows = [separator.join(f"{x:.9g}" for x in row) for row in np.column_stack(columns)]
-    path.write_text("\n".join([header, *rows, ""]))
+    np.savetxt(
+        path, np.column_stack(columns), "%.9g", separator, header=header, comments="",
+    )  # fmt: skip
 
 
 def test_ur5_rtde_log(tmp_path, monkeypatch, capsys):
@@ -48,9 +49,8 @@ def test_ur5_rtde_log(tmp_path, monkeypatch, capsys):
         " ",
         [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q],
     )
-    gains = ",".join(map(str, GAINS))
-    options = ["--effort", "A", "--ratio", str(RATIO), "--drive-gain", gains, "-o", "robot.toml"]
-    assert identify(["init", "ur5.urdf", *options]) == 0
+    options = f"--effort A --ratio {RATIO} --drive-gain {','.join(map(str, GAINS))} -o robot.toml"
+    assert identify(["init", "ur5.urdf", *options.split()]) == 0
     assert acquire(["import", "ur5.csv", "--robot", "robot.toml"]) == 0
     out, err = capsys.readouterr()
     assert "ur5.map.toml: proposed; complete\n" in out

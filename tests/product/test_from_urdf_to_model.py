@@ -57,14 +57,8 @@ def test_six_commands_export_true_models(tmp_path, monkeypatch, capsys):
     )
     assert (np.linalg.norm(found - true, axis=0) / np.linalg.norm(true, axis=0)).max() < 0.03
     capsys.readouterr()
-    short = [
-        "new.toml",
-        "--duration-s",
-        "2",
-        "--rate-hz",
-        f"{exported.controller.sample_rate_hz or 500:g}",
-    ]
-    assert IDENTIFY.main(["study", *short, "--runs", "1", "--json", "study.json"]) == 0
+    options = f"--duration-s 2 --rate-hz {exported.controller.sample_rate_hz or 500:g} --runs 1"
+    assert IDENTIFY.main(["study", "new.toml", *options.split(), "--json", "study.json"]) == 0
     assert capsys.readouterr().err == ""
     (run,) = json.loads(Path("study.json").read_text())["runs"]
     assert run["ls"]["error"] < 0.5

@@ -308,9 +308,8 @@ def made(folder: Path) -> dict[str, Arm]:
         ("blank", [*amperes, "--bandwidth-hz", "8"]),
         ("amps", [*amperes, "--bandwidth-hz", "8", "--drive-gain", "0.1"]),
     ):
-        out = str(folder / f"{name}.toml")
-        urdf = str(folder / "arm.urdf")
-        assert IDENTIFY.main(["init", urdf, "--joints", ",".join(JOINTS), *given, "-o", out]) == 0
+        files = [str(folder / "arm.urdf"), "-o", str(folder / f"{name}.toml")]
+        assert IDENTIFY.main(["init", *files, "--joints", ",".join(JOINTS), *given]) == 0
     plain = (folder / "robot.toml").read_text()
     joint, terms = 'type = "revolute"\n', '["viscous", "coulomb", "{}"]'
     for name, old, new in (
@@ -344,8 +343,11 @@ def made(folder: Path) -> dict[str, Arm]:
         q, torque, q_ref = body.driven(seed, SECONDS, RATE_HZ)
         q_ref = None if name in ("noref", "next") else q_ref
         signals = signals_from_arrays(q, scale * torque, RATE_HZ, described, q_ref)
-        payload = BOX if body is carrying else None
-        write_signals(folder / f"{name}.mcap", replace(signals, payload=payload), source="")
+        write_signals(
+            folder / f"{name}.mcap",
+            replace(signals, payload=BOX if body is carrying else None),
+            source="",
+        )
     q, torque, _ = arm.driven(0, SECONDS, RATE_HZ)
     columns = [np.arange(len(q)) / RATE_HZ, q, torque, 1.3 * np.gradient(q, 1 / RATE_HZ, axis=0)]
     np.savetxt(
@@ -353,9 +355,9 @@ def made(folder: Path) -> dict[str, Arm]:
         header="time,joint_q_1,joint_q_2,joint_tau_1,joint_tau_2,joint_qd_1,joint_qd_2",
     )  # fmt: skip
     (folder / "map.toml").write_text(MAP)
-    fast, given = str(folder / "fast"), ["--robot", str(folder / "robot.toml")]
-    map_of = ["--map", str(folder / "map.toml"), "-o", f"{fast}.mcap"]
-    assert ACQUIRE.main(["import", f"{fast}.csv", *given, *map_of]) == 0
+    robot, by, fast = (str(folder / name) for name in ("robot.toml", "map.toml", "fast"))
+    given = ["--robot", robot, "--map", by, "-o", f"{fast}.mcap"]
+    assert ACQUIRE.main(["import", f"{fast}.csv", *given]) == 0
     return {"arm": arm, "loaded": carrying, "rub": rubbing}
 
 

@@ -67,8 +67,9 @@ def test_demo_runs_from_bus_to_plot(capsys, tmp_path):
     assert "TX40: IV (as requested), converged, trust; " in out
     compare_with_readme(out)
     assert int(out.split("iv: ")[1].split(" of 60 true values inside")[0]) >= 56
-    names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"
+    }  # fmt: skip
     assert has_one_parent_each(tmp_path / "out" / "demo.rrd")
     iv, ls, true = (
         json.loads((tmp_path / "out" / f"{n}.json").read_text()) for n in ("iv", "ls", "truth")
@@ -99,8 +100,7 @@ def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
         assert gain["described"] == pytest.approx(stated)
         assert abs(gain["value"] - stated * factor) < 1.5 * gain["half_width"]
         assert gain["half_width"] < 0.02 * gain["value"]
-    within = int(re.search(r"(\d) of 6 true values inside; verdict of the fit: trust", out)[1])
-    assert within >= 4
+    assert re.search("[4-6] of 6 true values inside; verdict of the fit: trust", out)
     signals = [load_signals(tmp_path / f"{name}.mcap") for name in ("free", "loaded")]
     assert [one.payload for one in signals] == [None, PAYLOAD]
     assert signals[1].robot.gain.tolist() == list(CATALOGUE)  # recordings know no other

@@ -5,6 +5,7 @@ found, and their fits.
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from friction_models import described
@@ -13,6 +14,7 @@ from gain_cases import with_gains as described_with
 
 from acquisition.robot import Payload, Robot
 from identification.data import RecordingFile, Recordings, Signals, Work
+from identification.estimation import system
 from identification.regression import Overrides
 from identification.results import Evidence, identify
 from identification.study import Noise, closed_loop, random_reference, write_signals
@@ -23,6 +25,7 @@ WRONG = np.array([2.0, 0.9])  # as described where gains are identified
 COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
 CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
+BRIEF = 1_500  # instants
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
 
 
@@ -101,6 +104,12 @@ def written(
 def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: float) -> Evidence:
     overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None, **settings)
     return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
+
+
+def as_long(function, *of, **settings):
+    """The task `function`, to which a recording of four seconds is long; in a worker too."""
+    with patch.multiple(system, SHORT=BRIEF, SPANS=24):
+        return function(*of, **settings)
 
 
 def bits(fit: Evidence) -> list[bytes]:

@@ -22,7 +22,7 @@ from identification.regression import Overrides
 from identification.results import identify
 
 UR5 = packaged_urdf("ur5_robot.urdf")
-RATE_HZ, DURATION_S, BANDWIDTH_HZ = 500.0, 8.0, 6.0
+RATE_HZ, DURATION_S, BANDWIDTH_HZ = 500.0, 5.0, 6.0
 ROTOR, VISCOUS, COULOMB = (
     np.array(x) for x in ([0.6, 0.6, 0.4, 0.1, 0.1, 0.1], [8, 8, 5, 1, 1, 1], [10, 12, 8, 2, 2, 2])
 )

@@ -104,6 +104,16 @@ def test_long_recording_blocks_match_one_block(monkeypatch):
     )
 
 
+def test_no_block_has_a_single_row(monkeypatch):
+    """Without decimation blocks have no margins; times of a block are told by two of its rows."""
+    problem = make_problem(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(decimation=1))
+    rows, block = len(problem.settings.instants), "identification.regression.problem._SERIES_BLOCK"
+    monkeypatch.setattr(
+        block, (rows - 1) * int(problem.model.nonzero[:, problem.base.columns].sum())
+    )
+    assert [own.stop - own.start for _, own in row_blocks(problem)] == [rows]
+
+
 def test_iteration_with_indefinite_inertia_matrix():
     """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is
     simulated, and tracks.
