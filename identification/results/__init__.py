@@ -5,10 +5,11 @@ It owns `Evidence`, the solution of `methods` with its tests, and all that is sa
 consistent parameters. It may use `methods` and the rooms below; `study` and all above use it.
 """
 
+from .consistent import Known, consistent_set, with_consistent
 from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_ahead, validated
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
-from .make_fit import Known, consistent_set, identify, identify_iv, identify_ls, with_consistent
+from .make_fit import identify, identify_iv, identify_ls
 from .parameters import (
     consistent_fit,
     fitted_parameters,

@@ -14,8 +14,8 @@ from .. import report
 from ..control import FoundLaw
 from ..data import Signals
 from ..regression import Settings, forward_backward_3db_hz
-from ..trust import TrustInputs
 from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_on, first_ahead, validated
+from .make_fit import smallest_cragg_donald
 from .parameters import fitted_parameters
 
 
@@ -43,27 +43,6 @@ def fit_file(fit: Evidence) -> report.FitFile:
         **(_iv_keys(fit) if fit.passes else {}),
         **_estimate_keys(fit),
     )
-
-
-def smallest_cragg_donald(data: TrustInputs) -> float:
-    """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
-    and L, per instrument.
-
-    Cragg, Donald, Testing identifiability and specification in instrumental variable models,
-    Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
-    """
-    system, Z, w = data.observed.system, data.observed.Z, data.weight[:, None]
-    gains = [system.names.index(name) for name in data.gains]
-    others, E, known = np.delete(Z, gains, axis=1) * w, system.W[:, gains] * w, Z[:, gains] * w
-    basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
-    E, known = (x - basis @ (basis.T @ x) for x in (E, known))
-    Q = np.linalg.qr(known)[0]
-    explained = Q.T @ E
-    left = E - Q @ explained
-    m, freedom = E.shape[1], float(system.rows.sum()) - Z.shape[1]
-    root = np.linalg.cholesky(left.T @ left / max(1.0, freedom) + 1e-300 * np.eye(m))
-    half = np.linalg.solve(root, explained.T)
-    return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
 
 
 def _trust_keys(fit: Evidence) -> dict[str, Any]:
