@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import structs
 
 from ..report import Assumed, TrustResult, Verdict, is_own
-from . import columns, drives, efforts, physical, predictions, prior, rows, solution
+from . import columns, drives, efforts, gains, physical, predictions, prior, rows, solution
 from .evidence import LEVELS, TrustInputs, Words, assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
@@ -81,12 +81,12 @@ def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) ->
         "unseen": False,
         "duration_s": duration_s,
     }
-    yield from efforts.payload_assumptions(evidence)
+    yield from gains.payload_assumptions(evidence)
     yield from (assume(what, **said) for what, it in holds.items() if it)
 
 
 # with tests: functions of the fit's data, each with its row below it
-FILES = efforts, rows, drives, solution, physical, prior, columns, predictions
+FILES = efforts, gains, rows, drives, solution, physical, prior, columns, predictions
 # the rows of all tests, those of the data first
 WORDS: Mapping[str, Words] = {
     row.test: row
