@@ -1,4 +1,5 @@
-"""Efforts and positions that are not what they are taken for: exchanged, or of the wrong sign.
+"""Efforts and positions that are not what they are taken for: exchanged, of the wrong sign or unit,
+beyond their limit.
 
 A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of
 the drives' torques at joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint
@@ -10,6 +11,8 @@ from collections.abc import Collection, Iterator
 from itertools import combinations
 
 import numpy as np
+
+from acquisition.robot import RADIANS_AS_DEGREES
 
 from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
@@ -185,3 +188,52 @@ def _error(factors: Array, A: Array) -> float:
     rows = np.concatenate([factors[..., :b], Y[..., None]], axis=2) * weight[:, None, None]
     R = np.asarray(np.linalg.qr(rows.reshape(-1, b + 1), mode="r"))
     return relative_residual(R[:, :-1], R[:, -1])
+
+
+def positions_test(evidence: TrustInputs) -> TrustResult | None:
+    """Whether positions look like radians that were declared as degrees."""
+    radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
+    return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
+
+
+POSITIONS = Words(
+    test="positions",
+    place=30,
+    by=positions_test,
+    of_data=True,
+    wrong="joints move within a 57th of their limits",
+    advice="check whether positions are radians, declared as degrees",
+    detects="Only printed if positions look like radians that were declared as degrees",
+    limit="`caution`: revolute joints move within a 57th of their limits, one of them over "
+    "a tenth of its range if its radians were degrees",
+    cases={"radians": Case("caution", "{text}", finding="radians declared as degrees?")},
+)
+
+
+def effort_test(evidence: TrustInputs) -> TrustResult | None:
+    """Recorded efforts beyond a limit of the description, which no drive gives."""
+    found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
+    return EFFORT.judge({"beyond": found}, overloads="; ".join(found))
+
+
+EFFORT = Words(
+    test="effort",
+    place=230,
+    by=effort_test,
+    of_data=True,
+    wrong="a recorded effort is a fifth or more beyond `effort_nm`, `effort_n`, the URDF's "
+    "`effort` or `saturation`",
+    advice="check drive gain, ratio and unit; correct the limit",
+    detects="Only printed if a recorded effort is beyond its limit (`effort_nm`, "
+    "`effort_n`, the URDF's `effort`, `saturation`). Rated values, which drives exceed for "
+    "seconds, and the range of the recorded object are no limits. Not made with `--gains`",
+    limit="`caution`: 20 % or more beyond it",
+    cases={
+        "beyond": Case(
+            "caution",
+            "{overloads}",
+            "check drive_gain, ratio and unit of the effort, or correct the limit",
+            "effort beyond its limit",
+        )
+    },
+)

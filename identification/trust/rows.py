@@ -1,12 +1,8 @@
-"""Tests of the rows: whether joints move in them, which are lost or slow, and outliers; positions
-in the wrong unit, and efforts beyond their limit.
-"""
+"""Tests of the rows: whether joints move in them, which are lost or slow, and outliers."""
 
 from itertools import pairwise
 
 import numpy as np
-
-from acquisition.robot import RADIANS_AS_DEGREES
 
 from .. import estimation
 from ..arrays import Array
@@ -177,54 +173,5 @@ ENDS = Words(
     parts={
         "outliers": "{count} outliers in {rows} moving rows; largest {middle:.3g} robust "
         "deviations (limit {limit:g}), at the ends {ends:.3g}"
-    },
-)
-
-
-def positions_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether positions look like radians that were declared as degrees."""
-    radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
-    return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
-
-
-POSITIONS = Words(
-    test="positions",
-    place=30,
-    by=positions_test,
-    of_data=True,
-    wrong="joints move within a 57th of their limits",
-    advice="check whether positions are radians, declared as degrees",
-    detects="Only printed if positions look like radians that were declared as degrees",
-    limit="`caution`: revolute joints move within a 57th of their limits, one of them over "
-    "a tenth of its range if its radians were degrees",
-    cases={"radians": Case("caution", "{text}", finding="radians declared as degrees?")},
-)
-
-
-def effort_test(evidence: TrustInputs) -> TrustResult | None:
-    """Recorded efforts beyond a limit of the description, which no drive gives."""
-    found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
-    return EFFORT.judge({"beyond": found}, overloads="; ".join(found))
-
-
-EFFORT = Words(
-    test="effort",
-    place=230,
-    by=effort_test,
-    of_data=True,
-    wrong="a recorded effort is a fifth or more beyond `effort_nm`, `effort_n`, the URDF's "
-    "`effort` or `saturation`",
-    advice="check drive gain, ratio and unit; correct the limit",
-    detects="Only printed if a recorded effort is beyond its limit (`effort_nm`, "
-    "`effort_n`, the URDF's `effort`, `saturation`). Rated values, which drives exceed for "
-    "seconds, and the range of the recorded object are no limits. Not made with `--gains`",
-    limit="`caution`: 20 % or more beyond it",
-    cases={
-        "beyond": Case(
-            "caution",
-            "{overloads}",
-            "check drive_gain, ratio and unit of the effort, or correct the limit",
-            "effort beyond its limit",
-        )
     },
 )
