@@ -1,7 +1,7 @@
 """The reference of all keys and options, and the guides' tables of tests of a fit: tables made
 from the structures and parsers that read them, and from the words of the tests.
 
-`python tests/key_reference.py` writes identification/reference.md, acquisition/reference.md, and
+`python tests/key_reference.py` writes the references in the docs of both packages, and
 the tables of identification/README.md and results.md again.
 """
 
@@ -162,7 +162,7 @@ def pages() -> dict[Path, str]:
         "",
         "## robot.toml",
         "",
-        "The table `[bus]` is in [acquisition/reference.md](../acquisition/reference.md).",
+        "The table `[bus]` is in [the other reference](../../acquisition/docs/reference.md).",
     ]
     robot += [
         *key_tables(RobotFile, ROBOT_TABLES),
@@ -182,7 +182,7 @@ def pages() -> dict[Path, str]:
     bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
     found = {
-        ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
+        ROOT / folder / "docs" / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
     }
     return found | dict(guides())
 

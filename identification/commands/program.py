@@ -24,7 +24,7 @@ PROGRAM = Program(
     },
     # what older versions had, and what to use instead
     gone={
-        "schema": "all keys of robot.toml are in identification/reference.md",
+        "schema": "all keys of robot.toml are in identification/docs/reference.md",
         "sensitivity": "use study LOG.mcap",
         "study --cutoffs": "use study LOG.mcap, which varies the cut-off",
         "study --starts": "use study LOG.mcap, which varies the start",

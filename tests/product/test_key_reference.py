@@ -16,7 +16,7 @@ from acquisition.importing import TableMap
 from acquisition.robot import RobotFile
 
 
-@pytest.mark.parametrize("path", pages(), ids=lambda path: path.parent.name)
+@pytest.mark.parametrize("path", pages(), ids=lambda path: "/".join(path.parts[-3:]))
 def test_reference_matches_code(path):
     assert path.read_text() == pages()[path], "run `python tests/key_reference.py`"
 
