@@ -182,7 +182,8 @@ def pages() -> dict[Path, str]:
     bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
     found = {
-        ROOT / folder / "docs" / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()
+        ROOT / folder / "docs" / "reference.md": "\n".join(lines) + "\n"
+        for folder, lines in texts.items()
     }
     return found | dict(guides())
 
