@@ -1,6 +1,5 @@
 """Errors: their data, and the one-line message."""
 
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -9,12 +8,6 @@ from typing import Any, Final, NoReturn, TypeVar
 T = TypeVar("T")
 _NO_VALUE: Final = object()
 _MAX_VALUE_LENGTH = 80  # files may contain anything
-_KEYWORDS = {
-    "range": "position",
-    "period": "period_s",
-    "workers": "Work(N)",
-    "allow-untrusted": "allow_untrusted=True",
-}
 
 
 def one_line(text: str) -> str:
@@ -74,17 +67,20 @@ class RobotIdimError(Exception):
             SdoAbortedError  a `node` refused an access to an `index`, with the abort `code` of
                              CiA 301
 
-    The message is `place: key = value: text: expected ...`, without the parts not given.
+    The message is `place: key = value: text: expected .... Advice (arguments).`, without the
+    parts not given. Texts not given are empty.
 
     Attributes:
+        text: what is wrong, a fact.
         place: the file, the node, or a position in it.
-        key: the wrong key, such as `joint[0].name`.
+        key: the wrong key, such as `joint[0].name`, or argument, such as `speed`.
         value: the value found at `key`; None if it is missing or not given.
-        expected: what to write instead.
+        expected: the type, set or range of the values of `key`.
+        advice: what to do, an imperative.
+        arguments: the arguments of Python that the advice needs. The command line names their
+            options instead.
 
-    Texts not given are empty. `shown` replaces the `repr` of the value in the message, such as a
-    hexadecimal number. As a string it has keyword arguments in place of options, but for commands
-    in backticks; `args[0]` is for the command line.
+    `shown` replaces the `repr` of the value in the message, such as a hexadecimal number.
     """
 
     def __init__(
@@ -96,22 +92,31 @@ class RobotIdimError(Exception):
         value: Any = _NO_VALUE,
         shown: str = "",
         expected: str = "",
+        advice: str = "",
+        arguments: Sequence[str] = (),
     ) -> None:
-        self.place, self.key, self.expected = place, key, expected
+        self.text, self.place, self.key, self.expected = text, place, key, expected
+        self.advice, self.arguments = advice, arguments
         self.value = None if value is _NO_VALUE else value
-        if value is None:
-            key = f"{key} is missing"
-        elif value is not _NO_VALUE:
-            key = f"{key} = {shown or repr(value)}"[: len(key) + _MAX_VALUE_LENGTH]
-        parts = (place, key, text, expected and f"expected {expected}")
-        super().__init__(one_line(": ".join(filter(None, parts))))
-
-    def __str__(self) -> str:
-        return re.sub(
-            "`[^`]*`?|--([a-z][a-z-]*)",
-            lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")) if x[1] else x[0],
-            self.args[0],
+        self._found = (
+            ""
+            if value is _NO_VALUE
+            else " is missing"
+            if value is None
+            else f" = {shown or repr(value)}"[:_MAX_VALUE_LENGTH]
         )
+        super().__init__(text)
+
+    def message(self, options: Mapping[str, str] | None = None) -> str:
+        """Return the message in one line; `options` gives the option of an argument by its name."""
+        key = self.key if self.place else (options or {}).get(self.key, self.key)
+        expected = self.expected and f"expected {self.expected}"
+        what = ": ".join(filter(None, (self.place, key and key + self._found, self.text, expected)))
+        names = ", ".join((options or {}).get(name, name) for name in self.arguments)
+        todo = f"{self.advice} ({names})" if names else self.advice
+        return one_line(f"{what}. {todo}." if todo else what)
+
+    __str__ = message
 
 
 class BadInputError(RobotIdimError):
@@ -173,18 +178,15 @@ class Location:
         key: str = "",
         value: Any = _NO_VALUE,
         expected: str = "",
-        *,
-        text: str = "",
-        shown: str = "",
+        **texts: Any,
     ) -> NoReturn:
-        """Raise a `BadInputError` for a key of this place."""
+        """Raise a `BadInputError` for a key of this place, with its other arguments in `texts`."""
         raise BadInputError(
-            text,
             place=self.name,
             key=f"{self.table}.{key}".strip("."),
             value=value,
-            shown=shown,
             expected=expected,
+            **texts,
         )
 
     def require(
@@ -193,13 +195,11 @@ class Location:
         key: str = "",
         value: Any = _NO_VALUE,
         expected: str = "",
-        *,
-        text: str = "",
-        shown: str = "",
+        **texts: Any,
     ) -> None:
         """Raise as `refuse` unless a condition holds."""
         if not holds:
-            self.refuse(key, value, expected, text=text, shown=shown)
+            self.refuse(key, value, expected, **texts)
 
     def given(
         self,
@@ -207,12 +207,11 @@ class Location:
         key: str = "",
         value: Any = _NO_VALUE,
         expected: str = "",
-        *,
-        text: str = "",
+        **texts: Any,
     ) -> T:
         """Return what was found; raise as `refuse` if that is None."""
         if found is None:
-            self.refuse(key, value, expected, text=text)
+            self.refuse(key, value, expected, **texts)
         return found
 
 

@@ -1,7 +1,7 @@
 """The wordings of errors, in one table: `python tests/wordings.py` writes wordings.txt
 anew from the packages.
 
-A line is a file, the class of the error, its text, and what it expects. What stands in braces is
+A line is a file, the class of the error, its text, what it expects, and its advice. What stands in braces is
 filled in when it is raised. Tests assert an error's class and its data; a better wording changes
 its line here and no test.
 """
@@ -74,12 +74,14 @@ def lines_of(path: Path) -> Iterator[str]:
         given = dict(zip(POSITIONS[name], arguments, strict=False)) | {
             k.arg: k.value for k in call.keywords
         }
-        text, expected = (
+        text, expected, advice, arguments = (
             wording(names.get(x.id, x) if isinstance(x := given.get(key), ast.Name) else x)
-            for key in ("text", "expected")
+            for key in ("text", "expected", "advice", "arguments")
         )
-        if parts := [part for part in (text, expected and f"expected {expected}") if part]:
-            yield ": ".join((str(path.relative_to(ROOT)), name, *parts))
+        advice = " ".join(filter(None, (advice, arguments)))
+        if fact := ": ".join(filter(None, (text, expected and f"expected {expected}"))):
+            line = f"{fact}. {advice}." if advice else fact
+            yield f"{path.relative_to(ROOT)}: {name}: {line}"
 
 
 def table() -> str:

@@ -110,7 +110,7 @@ def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str
         except SdoAbortedError as error:
             if track or not need.track:
                 raise
-            without = error.args[0]
+            without = str(error)
         if without:
             master.by_node[need.drive.node].beats = False
             warnings.append(f"{without}: its heartbeat is not supervised")
@@ -250,7 +250,7 @@ def _interpolation(master: Master, drive: Drive) -> Need:
     try:
         count, unit = cia.interpolation_period(period_s)
     except BadInputError as error:
-        return Need(drive=drive, name=name, found="", refusal=error.args[0], track=True)
+        return Need(drive=drive, name=name, found="", refusal=str(error), track=True)
     return _values(drive, name, answers, {(index, 1): count, (index, 2): unit % 256})
 
 

@@ -86,9 +86,7 @@ class MasterHeartbeat:
                 self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, entry, 4)
             except BusFaultError as error:
                 self._before.pop(node, None)
-                refused.append(
-                    f"{error.args[0]}: the drive does not detect the loss of this master"
-                )
+                refused.append(f"{error}: the drive does not detect the loss of this master")
         self._master.at_sync = self._at_sync
         return refused
 
@@ -104,7 +102,7 @@ class MasterHeartbeat:
                     self._send()
                     self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, before, 4)
                 except BusFaultError as error:
-                    refused.append(error.args[0])
+                    refused.append(str(error))
         self._master.at_sync = lambda: None
         return refused
 

@@ -113,7 +113,7 @@ def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
     try:
         check_carriers(bus)
     except BadInputError as error:
-        yield Finding("PDOs", error.args[0], ok=False, track=True)
+        yield Finding("PDOs", str(error), ok=False, track=True)
     if bus.file.mapped_by_traffic:
         yield Finding("mapping", "traffic: record --passive only", ok=False)
 
@@ -193,7 +193,7 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     try:
         state = master.state(drive)
     except BusFaultError as error:
-        text = error.args[0].removeprefix(f"{error.place}: ")  # the same for all drives
+        text = str(error).removeprefix(f"{error.place}: ")  # the same for all drives
         yield Finding("state", text, ok=False, node=node)
         return
     # A recording leaves a drive in fault as it is; motion begins with its reset.
@@ -216,7 +216,7 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
                 track=need.track,
             )
     except BusFaultError as error:
-        yield Finding("objects", error.args[0], ok=False, node=node)
+        yield Finding("objects", str(error), ok=False, node=node)
     for name, text in (
         *supervision_of(master, drive),
         *(("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())),
@@ -258,7 +258,7 @@ def _jitter(master: Master) -> Finding:
     try:
         jitter = sync_jitter(master)
     except BusFaultError as error:
-        return Finding("SYNC", error.args[0], ok=False)
+        return Finding("SYNC", str(error), ok=False)
     even = jitter.off <= MAX_OFF_SHARE
     rough = f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
     text = (
@@ -286,4 +286,4 @@ def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
                 track=True,
             )
     except BusFaultError as error:
-        yield Finding("joint positions", error.args[0], ok=False)
+        yield Finding("joint positions", str(error), ok=False)

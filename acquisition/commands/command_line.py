@@ -32,7 +32,7 @@ from typing import (
     get_origin,
 )
 
-from ..errors import one_line
+from ..errors import RobotIdimError, one_line
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -62,7 +62,7 @@ PACKAGES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """A command line: its name, one line about it, and the errors that it prints in one line.
+    """A command line: its name, and one line about it.
 
     `commands` gives the help of each command, in order. Its module in `package` has the same name,
     with an underscore if the name is a Python keyword. `gone`: what to use instead of a command, an
@@ -73,7 +73,6 @@ class Program:
     description: str
     package: str
     commands: Mapping[str, str]
-    errors: tuple[type[Exception], ...]
     gone: Mapping[str, str]
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
@@ -95,7 +94,14 @@ class Program:
             if name in chosen:
                 module = import_module(f"{self.package}.{name}{'_' * iskeyword(name)}")
                 module.add(command)
-                command.set_defaults(run=module.run)
+                command.set_defaults(
+                    run=module.run,
+                    option_of_argument={
+                        action.dest: action.option_strings[-1]
+                        for action in command._actions
+                        if action.option_strings
+                    },
+                )
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
@@ -107,6 +113,8 @@ class Program:
         gc.set_threshold(200_000)
         # The matrices are small: threads of OpenBLAS, which reads this once, wait for each other.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
+
+        names: dict[str, str] = {}
 
         def command() -> int | None:
             # No option before the command takes a value.
@@ -127,9 +135,10 @@ class Program:
                         "--print-completion needs shtab: pip install 'robot-idim[completion]'"
                     )
             options = parser.parse_args(given)
+            names.update(options.option_of_argument)
             return cast(int | None, options.run(options))
 
-        return run_command(self.name, self.errors, command)
+        return run_command(self.name, command, names)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -319,10 +328,12 @@ class _Stream:
 
 
 def run_command(
-    program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]
+    program: str,
+    command: Callable[[], int | None],
+    options: Mapping[str, str] | None = None,
 ) -> int:
-    """Run `command` and return the exit status: that of `command` (None is 0), 1 after one of
-    `errors`, 130 on Ctrl-C.
+    """Run `command` and return the exit status: that of `command` (None is 0), 1 after an error
+    of the packages, 130 on Ctrl-C. `options` gives the options of arguments that errors name.
 
     A pipe of standard output that is closed early (`| head -1`) is no error. If standard output
     cannot be written for another reason (a full disk), the command finishes, then the status is 1.
@@ -332,11 +343,11 @@ def run_command(
             status = command() or 0
         except KeyboardInterrupt:
             return _refuse(err, program, "interrupted", 130)
-        except tuple(errors) as error:
-            return _refuse(err, program, str(*error.args), 1)
+        except RobotIdimError as error:
+            return _refuse(err, program, error.message(options), 1)
         except OSError as error:
-            place = "" if error.filename is None else f"{error.filename}: "
-            return _refuse(err, program, f"{place}{error.strerror or error}", 1)
+            where = "" if error.filename is None else f"{error.filename}: "
+            return _refuse(err, program, f"{where}{error.strerror or error}", 1)
         out.flush()
         if out.error is not None and out.error.errno != errno.EPIPE:
             return _refuse(

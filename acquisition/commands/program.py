@@ -1,6 +1,5 @@
 """`robot-acquire`: one file per command, listed here in the order of the help."""
 
-from ..errors import RobotIdimError
 from .command_line import Program
 
 PROGRAM = Program(
@@ -24,6 +23,5 @@ PROGRAM = Program(
         "export": "use info LOG.mcap --csv OUT.csv",
         "replay": "use emulate LOG.mcap --interface NAME --channel NAME",
     },
-    errors=(RobotIdimError,),
 )
 main = PROGRAM.main

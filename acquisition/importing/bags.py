@@ -114,7 +114,7 @@ def import_bag(
     except BadInputError as error:
         if options.reference_topic:
             raise
-        warnings.append(f"no reference: {error.args[0]}")
+        warnings.append(f"no reference: {error}")
     return replace(
         write_samples(
             Header(
@@ -294,8 +294,11 @@ def _topic_of(kind: str, topic: str, types: dict[str, str], place: Location) -> 
     found = [name for name, own in types.items() if own == kind]
     if topic in found or (not topic and len(found) == 1):
         return topic or found[0]
-    problem = f"has type {types[topic]}" if topic in types else "does not exist"
     place.refuse(
-        expected=f"--topic of {kind}; it has {listed(found or [*types])}",
-        text=f"topic {topic} {problem}" if topic else f"has {len(found)} topics of joint states",
+        expected=f"topic of {kind}; it has {listed(found or [*types])}",
+        text=f"has {len(found)} topics of joint states"
+        if not topic
+        else f"topic {topic} has type {types[topic]}"
+        if topic in types
+        else f"topic {topic} does not exist",
     )

@@ -369,7 +369,7 @@ class RecordingFollower:
         try:
             found = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0)
         except BadInputError as error:
-            self.problem = error.args[0]
+            self.problem = str(error)
             return
         samples, self.problem = found.samples, ""
         stamps = samples["stamp_ns"]

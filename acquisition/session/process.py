@@ -197,7 +197,7 @@ def run(
             connection.send(
                 (
                     "failed",
-                    error.args[0]
+                    str(error)
                     if isinstance(error, RobotIdimError)
                     else f"{path}: cannot be written: {error.strerror}",
                 )

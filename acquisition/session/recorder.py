@@ -225,8 +225,8 @@ def write_decoded(
         mapped, bus = recording.resolve_mapped(frames, robot, place)
         decoded = recording.decode(mapped, robot, bus, place)
     except BadInputError as error:
-        writer.event(stamp_ns, "warning", f"{recording.NO_SAMPLES}{error.args[0]}")
-        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])
+        writer.event(stamp_ns, "warning", f"{recording.NO_SAMPLES}{error}")
+        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
     decoded.write(writer, stamp_ns)
     return RecordedSummary(
         frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings

@@ -280,7 +280,7 @@ def _listen(
                 time.sleep(0.02)
         except RobotIdimError as error:
             with suppress(RobotIdimError):
-                log.event(clock.now_ns(), "fault", error.args[0])
+                log.event(clock.now_ns(), "fault", str(error))
             raise
         reason = stop.reason or "finished"
         with suppress(RobotIdimError):

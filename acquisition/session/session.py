@@ -99,7 +99,7 @@ def run_active(
         session.phases()
         reason, fault = stop.reason or "finished", False
     except RobotIdimError as error:
-        reason, failure = error.args[0], error
+        reason, failure = str(error), error
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
         raise
@@ -291,7 +291,7 @@ class _Session:
             )
             if in_motion and commands:
                 return error
-            self._note_once("warning", error.args[0])
+            self._note_once("warning", str(error))
         return None
 
     def _positions(self) -> Array | None:

@@ -1,7 +1,6 @@
 """`robot-identify`: one file per command, listed here in the order of the help."""
 
 from acquisition.commands import Program
-from acquisition.errors import RobotIdimError
 
 PROGRAM = Program(
     name="robot-identify",
@@ -54,6 +53,5 @@ PROGRAM = Program(
             ["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"
         ),
     },
-    errors=(RobotIdimError,),
 )
 main = PROGRAM.main

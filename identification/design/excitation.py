@@ -241,14 +241,16 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         MAX_BANDWIDTH_SHARE * robot.bandwidth_hz,
     )
     count = math.floor(max_hz * settings.period_s + 1e-9)
-    fewer = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
+    fewer = f"{count} or fewer harmonics, or " if count >= MIN_HARMONICS else ""
     Location(place).require(
         highest_hz <= max_hz * (1 + 1e-9),
         "harmonics",
         settings.harmonics,
-        f"{fewer}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
         text=f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
         f"{robot.bandwidth_hz:g} Hz",
+        advice=f"Use {fewer}a period of at least "
+        f"{math.ceil(100 * settings.harmonics / max_hz) / 100:g} s",
+        arguments=("harmonics", "period_s")[not fewer :],
     )
 
 

@@ -89,7 +89,7 @@ def best_of_searches(
                 raise NoFitError(f"{name} is exceeded by {100 * (most - 1):.3g} %")
             sigma = problem.information.sigma(motion_of(x, problem.basis))
         except NoFitError as error:
-            worst = error.args[0]
+            worst = str(error)
         else:
             ratios = sigma / problem.plain
             is_worse = bool(ratios.max() > MAX_DEVIATION_RATIO)

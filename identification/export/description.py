@@ -44,7 +44,8 @@ def read_robot(
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
         Location(str(path)).refuse(
-            text=f"{option} has no effect", expected="a URDF; robot.toml has a key for it"
+            text=f"{option.lstrip('-').replace('-', '_')} has no effect",
+            expected="a URDF; robot.toml has a key for it",
         )
     return load_robot(path)
 

@@ -73,7 +73,7 @@ def solve(
             solution = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
-                error.args = (f"{error.args[0]}; least squares: --method wls",)
+                error.advice, error.arguments = "Use least squares: wls", ["method"]
             raise
     else:
         solution = _by_measured_motion(model, found, by, essential=essential)

@@ -295,7 +295,7 @@ def position_noise_line(
         )
         both = [_least_squares(_with_noise(problem, way * noise), method, asked) for way in (1, -1)]
     except NoFitError as error:
-        return POSITION_NOISE.judge({"no noise": True}, reason=error.args[0])
+        return POSITION_NOISE.judge({"no noise": True}, reason=str(error))
     names = tuple(x for x in essential.names if x in plain.names and x in asked.names)
     half = ls.intervals.half[[asked.names.index(name) for name in names]]
     beta = plain.values_of(names)

@@ -86,7 +86,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
         if not model.unknowns.motors:
             raise
         raise BadInputError(
-            f"drive gains and the arm cannot be separated ({error.args[0]}): the payload "
+            f"drive gains and the arm cannot be separated ({error}): the payload "
             "does not show in the recordings",
             key="gains",
             expected="a payload on one recording, and its mass as stated",

@@ -123,7 +123,12 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
         fit = identify(Recordings(sources=loaded), Overrides(), method=method)
     except Exception as error:  # a bug that one recording triggers must not end a run of days
         expected = isinstance(error, RobotIdimError | OSError)
-        return FleetRow(file=file, reason=error.args[-1] if expected else f"unexpected {error!r}")
+        return FleetRow(
+            file=file,
+            reason=(getattr(error, "strerror", None) or str(error))
+            if expected
+            else f"unexpected {error!r}",
+        )
     return FleetRow(
         file=file,
         sha256=" ".join(signals.sha256 for signals in loaded),

@@ -108,7 +108,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     try:
         fit = identify_iv(signals, variant.overrides, iteration)
     except RobotIdimError as error:
-        return VariedFit(variant=variant, ended=error.args[0])
+        return VariedFit(variant=variant, ended=str(error))
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
     base, model = fit.base, fit.problem.model

@@ -153,7 +153,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         run = replace(run, ls=result(ls))
         iv = identify_iv(signals, Overrides(law=ls.law), Iteration())
     except RobotIdimError as error:
-        return replace(run, reason=error.args[0])
+        return replace(run, reason=str(error))
     return replace(run, status=iv.status, reason=iv.solution.reason, iv=result(iv))
 
 

@@ -298,7 +298,7 @@ def consistent_test(evidence: TrustInputs) -> TrustResult | None:
         power = recorded_power([one for one, arm in pairs if arm.names == names], beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance, power)
     except NoFitError as error:
-        return CONSISTENT.judge({"none near": True}, error=error.args[0])
+        return CONSISTENT.judge({"none near": True}, error=str(error))
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
     bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     distance = nearest.chi_squared

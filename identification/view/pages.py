@@ -121,7 +121,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     try:
         settings = make_settings(signals, overrides)
     except RobotIdimError as error:
-        refusal = error.args[0]
+        refusal = str(error)
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
         document=results.recording_document(signals, settings, refusal),

@@ -52,7 +52,7 @@ WITHOUT_STREAMS = """from acquisition.commands import run_command
 def command():
     with open("number", "w") as file:
         file.write(str(file.fileno()))
-raise SystemExit(run_command("p", (), command))
+raise SystemExit(run_command("p", command))
 """
 
 
@@ -142,13 +142,13 @@ def test_exit_statuses(end, status, expected, capsys):
             raise end
         return end
 
-    assert run_command("p", (RobotIdimError,), command) == status
+    assert run_command("p", command) == status
     assert capsys.readouterr() == ("result\n", expected)
 
 
 def test_unexpected_error_is_not_hidden():
     with pytest.raises(ZeroDivisionError):
-        run_command("p", (RobotIdimError,), lambda: 1 // 0)
+        run_command("p", lambda: 1 // 0)
 
 
 @pytest.mark.parametrize("package", ["acquisition", "identification"])

@@ -518,18 +518,10 @@ def test_several_recordings_are_lists_of_arrays(signals, tmp_path):
         )
 
 
-@pytest.mark.parametrize(
-    ("text", "python"),
-    [
-        ("another --seed or --harmonics", "another seed or harmonics"),
-        ("--range = 3", "position = 3"),
-        ("or --allow-untrusted", "or allow_untrusted=True"),
-        ("`robot-identify fit --json` and --gains", "`robot-identify fit --json` and gains"),
-    ],
-)
-def test_errors_name_keyword_arguments(text, python):
-    error = identification.RobotIdimError(expected=text)
-    assert (str(error), error.args[0]) == (f"expected {python}", f"expected {text}")
+def test_errors_name_arguments_and_their_options():
+    error = identification.RobotIdimError("a", key="span_s", value=0, arguments=["seed"])
+    assert str(error) == "span_s = 0: a. (seed)."
+    assert error.message({"span_s": "--span", "seed": "--seed"}) == "--span = 0: a. (--seed)."
 
 
 def test_error_names_option_or_keyword(tmp_path, capsys):
@@ -542,7 +534,6 @@ def test_error_names_option_or_keyword(tmp_path, capsys):
     assert "period_s" in str(caught.value)
     words = f"excite {SCARA} -o {tmp_path / 'r.csv'} --harmonics 30 --period 1 --noise 0.1"
     assert main(words.split()) == 1
-    told = (
-        capsys.readouterr().err.replace("--period", "period_s").replace("--harmonics", "harmonics")
-    )
-    assert told.endswith(f"{caught.value}\n")
+    line = capsys.readouterr().err
+    assert "(--period)" in line
+    assert line.replace("(--period)", "(period_s)").endswith(f"{caught.value}\n")

@@ -25,7 +25,7 @@ ROOMS = sorted(
 )
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-MOST_FILES, MOST_LINES, MOST_LINES_OF_A_FACE = 15, 400, 10
+MOST_FILES, MOST_LINES, MOST_LINES_OF_A_FACE = 15, 343, 10
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
@@ -103,8 +103,22 @@ def test_no_file_imports_tests():
     ) == set()
 
 
+def code_lines(source):
+    """Return the number of lines that hold code: no docstrings, comments or blank lines."""
+    texts = {
+        line
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str)
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    return sum(
+        not (line.isspace() or not line or line.lstrip().startswith("#")) and number not in texts
+        for number, line in enumerate(source.splitlines(), 1)
+    )
+
+
 def test_files_stay_small():
-    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in FILES}
+    lengths = {str(path.relative_to(ROOT)): code_lines(path.read_text()) for path in FILES}
     assert {name: n for name, n in lengths.items() if n > MOST_LINES} == {}
 
 

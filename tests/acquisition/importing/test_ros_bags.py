@@ -199,7 +199,7 @@ def test_joint_state_topic_choice(tmp_path, capsys, storage):
         ("none", 0, "/rosout"),
     ):
         assert main(["import", str(tmp_path / name), *options]) == 1
-        expected = f"expected --topic of {STATE}; it has {topics}"
+        expected = f"expected topic of {STATE}; it has {topics}"
         assert capsys.readouterr().err == (
             f"robot-acquire: {tmp_path / name}: has {count} topics of joint states: {expected}\n"
         )

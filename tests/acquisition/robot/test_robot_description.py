@@ -195,7 +195,8 @@ def test_errors_have_data_and_one_printable_line():
         str(RobotIdimError(place="a.toml", key="b", value=None, expected="c"))
         == "a.toml: b is missing: expected c"
     )
-    assert str(RobotIdimError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
+    with_advice = RobotIdimError("x rows", place="a.toml", key="b", advice="Use c")
+    assert str(with_advice) == "a.toml: b: x rows. Use c."
     bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
     assert str(RobotIdimError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"

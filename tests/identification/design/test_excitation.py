@@ -311,8 +311,18 @@ def test_search_fails_if_every_motion_exceeds_limits(monkeypatch):
 @pytest.mark.parametrize(
     ("old", "new", "harmonics", "says"),
     [
-        ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0", 8, "harmonics 3 or fewer, or period_s 24"),
-        ("bandwidth_hz = 5.0", "bandwidth_hz = 0.1", 10, "expected period_s 300 or longer"),
+        (
+            "bandwidth_hz = 5.0",
+            "bandwidth_hz = 1.0",
+            8,
+            "3 or fewer harmonics, or a period of at least 24 s (harmonics, period_s).",
+        ),
+        (
+            "bandwidth_hz = 5.0",
+            "bandwidth_hz = 0.1",
+            10,
+            "Use a period of at least 300 s (period_s).",
+        ),
         ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder states none"),
         (
             "acceleration_deg_s2 = 1500\n",
