@@ -1,9 +1,9 @@
 """The wordings of errors, in one table: `python tests/wordings.py` writes wordings.txt
 anew from the packages.
 
-A line is a file, the class of the error, its text, what it expects, and its advice. What stands in braces is
-filled in when it is raised. Tests assert an error's class and its data; a better wording changes
-its line here and no test.
+A line is a file, the class of the error, its text, what it expects, and its advice. What stands
+in braces is filled in when it is raised. Tests assert an error's class and its data; a better
+wording changes its line here and no test.
 """
 
 import ast
