@@ -1,19 +1,25 @@
-"""The reference of all keys and options, and the guides' tables of tests of a fit: tables made
-from the structures and parsers that read them, and from the words of the tests.
+"""The references of all keys, options and public names, and the guides' tables of tests of a fit:
+made from the structures and parsers that read them, docstrings, and the words of the tests.
 
 `python tests/key_reference.py` writes the references in the docs of both packages, and
 the tables of identification/README.md and results.md again.
 """
 
 import argparse
+import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from msgspec import to_builtins
 from msgspec.json import schema_components
 
+import acquisition
+import identification
 from acquisition.commands.command_line import Program
 from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing import TableMap
@@ -137,6 +143,52 @@ def option_table(program: Program) -> Iterator[str]:
         yield f"| `{name}` | {', '.join(f'`{command}`' for command in commands)} | {meaning} |"
 
 
+def signature(name: str, of: Callable[..., Any]) -> str:
+    """Return a call with the names of all arguments, and the defaults that are short."""
+    given = inspect.signature(of)
+    plain = [
+        one.replace(annotation=one.empty)
+        for one in given.parameters.values()
+        if one.name not in ("self", "cls")
+    ]
+    return f"{name}{given.replace(parameters=plain, return_annotation=given.empty)}"
+
+
+def described(of: object) -> Iterator[str]:
+    """Yield the lines of a docstring, with its sections as lists."""
+    section, item = "", r"(?:    )?(\w+(?:, \w+)*) ?: (.*)"
+    for line, below in pairwise((*(inspect.getdoc(of) or "").splitlines(), "")):
+        if re.fullmatch("-{3,}", line):
+            continue
+        if re.fullmatch("-{3,}", below) or line == "Attributes:":
+            section = line.strip(":")
+            yield f"**{section}**\n"
+        elif section and (found := re.fullmatch(item, line)):
+            yield f"- `{found[1]}`: {found[2]}"
+        else:
+            yield f"  {line.strip()}".rstrip() if section and line[:1] == " " else line
+
+
+def members(name: str, of: type) -> Iterator[str]:
+    """Yield the public properties and methods of a class."""
+    for member, value in vars(of).items():
+        if isinstance(value, property | cached_property):
+            yield from ("", f"### `{name}.{member}`", "", *described(value))
+        elif not member.startswith("_") and callable(found := getattr(of, member)):
+            yield from ("", f"### `{signature(f'{name}.{member}', found)}`", "", *described(found))
+
+
+def python_reference(package: ModuleType) -> str:
+    """Return the page of all public names of a package, from their docstrings."""
+    lines = [f"# Reference: `import {package.__name__}`", "", HEAD]
+    for name in package.__all__:
+        of = getattr(package, name)
+        is_record = isinstance(of, type)
+        lines += ["", f"## `{name if is_record else signature(name, of)}`", "", *described(of)]
+        lines += members(name, of) if is_record else ()
+    return "\n".join(lines) + "\n"
+
+
 def guides() -> Iterator[tuple[Path, str]]:
     """Path and text of the guides, with their tables of the tests of a fit between two marks."""
     for page, columns in GUIDES.items():
@@ -185,6 +237,9 @@ def pages() -> dict[Path, str]:
         ROOT / folder / "docs" / "reference.md": "\n".join(lines) + "\n"
         for folder, lines in texts.items()
     }
+    for package in (acquisition, identification):
+        page = ROOT / package.__name__ / "docs" / "python-reference.md"
+        found[page] = python_reference(package)
     return found | dict(guides())
 
 
