@@ -151,7 +151,8 @@ def signature(name: str, of: Callable[..., Any]) -> str:
         for one in given.parameters.values()
         if one.name not in ("self", "cls")
     ]
-    return f"{name}{given.replace(parameters=plain, return_annotation=given.empty)}"
+    text = f"{name}{given.replace(parameters=plain, return_annotation=given.empty)}"
+    return re.sub(r"<function [^>]*> at \w+>", "...", text)
 
 
 def described(of: object) -> Iterator[str]:

@@ -32,7 +32,7 @@ COMMANDS = list(
     dict.fromkeys(
         (found[1] or found[2]).split(" #")[0].strip()
         for path, text in TEXT.items()
-        if path.name != "reference.md"  # whose words are those of the help
+        if not path.name.endswith("reference.md")  # whose words are those of the help
         for found in COMMAND.finditer(text)
     )
 )
