@@ -21,16 +21,17 @@ class MissingTerm:
 
     Attributes:
         kind, where: the term, and its joint or axis.
-        place: the number of its kind, and its place of that; `column`: of C, -1 for none; `joint`:
-            whose rows in that are its own, None for all.
+        place: the number of its kind, and its place within that kind.
+        column: of C, -1 for none.
+        joint: the joint in whose rows the term has a column of its own; None for all rows.
         unit, advice: unit of the coefficient; what to do.
-        value, t: its coefficient, also in deviations.
-        taken_percent: share of the residual's square that it explains; `together_percent`:
-            all columns of its kind.
+        value, t: the coefficient, and its ratio to its standard error.
+        taken_percent: share of the residual variance that the term explains.
+        together_percent: the same of all columns of its kind.
         moves: largest shift of an essential parameter, in half-widths.
-        least_percent: of `taken_percent`, to be large.
-        noticed: size of the coefficient that is noticed in nearly every recording; infinite in
-            the span of the model.
+        least_percent: `taken_percent` above which the term counts as large.
+        noticed: size of the coefficient that is noticed in nearly every recording; infinite if the
+            model already explains the term.
     """
 
     kind: str
@@ -50,28 +51,28 @@ class MissingTerm:
 
     @property
     def finding(self) -> str:
-        """What is wrong, in a few words."""
+        """A few words on what is wrong."""
         return f"{self.kind} {self.where}{KINDS[self.place[0]].missing}"
 
     @property
     def found(self) -> bool:
-        """Whether it is significant and large."""
+        """True if the term is significant and large."""
         large = self.kind != LAG and self.taken_percent > self.least_percent
         return abs(self.t) > MIN_T and (large or (self.moves > 1 and self.kind in IN_FAST_ROWS))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates(About):
-    """Terms that are not in the model of a recording, asked for their columns along any motion.
+    """Terms that the model of a recording lacks; their columns are computed along any motion.
 
-    `sliding`: (c,) largest speeds along the directions of Coulomb friction.
+    `sliding` (c,): largest speeds along the directions of Coulomb friction.
     """
 
     sliding: Array
 
     @cached_property
     def terms(self) -> tuple[MissingTerm, ...]:
-        """The terms."""
+        """The candidate terms."""
         robot, found, columns = self.robot, list[MissingTerm](), dict[tuple[int, int], int]()
         for i, kind in enumerate(KINDS):
             for k, (where, j) in enumerate(kind.at(self)):
@@ -99,16 +100,18 @@ class Candidates(About):
         return tuple(found)
 
     def at_rest(self, motion: MotionBlock) -> Array:
-        """(n, g, rows) the torques of `weighs` at rest, which change slowly, weighted and decimated
-        along the measured motion.
+        """Return the torques of `weighs` at rest, shape (n, g, rows), weighted and decimated.
+
+        They change slowly along the measured motion.
         """
         q, columns = motion.kept(motion.q), motion.problem.base.columns[self.weighs]
         still = motion.problem.model.regressor(q, 0 * q, 0 * q)[:, :, columns]
         return motion.filtered(motion.weights)[:, None] * still.transpose(1, 2, 0)
 
     def columns(self, motion: MotionBlock) -> Array:
-        """(n, k, rows) torque per unit of the terms, weighted and decimated, along a motion with
-        the torque that `beta` predicts.
+        """Return the torque per unit of each term, shape (n, k, rows), weighted and decimated.
+
+        The motion is given; the torque that a term scales is the one that `beta` predicts.
         """
         of_columns = {term.column: term for term in self.terms if term.column >= 0}
         found = np.zeros((len(self.peak), len(of_columns), len(motion.share.T)))
@@ -123,8 +126,9 @@ class Candidates(About):
 
 
 def _of_links(links: DirectModel, zero: Array, q: Array, dq: Array, ddq: Array) -> Array:
-    """The links' torque along a motion, and its derivatives by the positions, and by factors on
-    each joint's motion from its zero: (N, n, 1 + 2n).
+    """Return the links' torque along a motion with its derivatives, shape (N, n, 1 + 2n).
+
+    The derivatives are those by the positions, and by factors on each joint's motion from its zero.
     """
     tau, slopes = torque_of_links(links, (q, dq, ddq))
     by_factor = sum(of * x[:, None] for of, x in zip(slopes, (q - zero, dq, ddq), strict=True))

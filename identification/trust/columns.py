@@ -47,8 +47,10 @@ MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
 
 
 def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether the model lacks a term: friction, a rotor, an offset, a spring, a tilt, a zero,
-    a gain, a lag, clocks.
+    """Test for missing terms: friction, a rotor, an offset, a spring, base tilt, a joint zero
+    offset, a gain, a delay, clock drift.
+
+    Each term's column is added to the regressor in turn (an added-variable test).
     """
     every, robot = missing_terms(evidence), evidence.robot
     terms = [term for term in every if np.isfinite(term.noticed)]
@@ -120,7 +122,7 @@ ADDED_COLUMNS = Words(
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
-    """Zeros whose large error is not noticed, and rotors that the description denies."""
+    """List zeros whose large error goes unnoticed, and disabled rotor inertias."""
     for kind in (kinds.ZERO, kinds.ROTOR):
         unnoticed = {
             t.where.removeprefix("of joint "): f"up to {t.noticed:.2g} {t.unit}"
@@ -138,21 +140,21 @@ def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:
-    """Sort key. Several joints may lack the same term, so all columns of a kind count together.
+    """Return the sort key of a term; all columns of a kind count together, since several joints may
+    lack the same term.
 
-    Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the
-    position, as springs do. A wrong ratio looks like a rotor, and can be checked.
+    Asymmetric Coulomb friction contains an offset, so it wins a tie. Base tilt follows the
+    position, as springs do. A wrong ratio resembles a rotor inertia, and can be checked.
     """
     together = SHARES.get(term.kind, 1.0) * term.together_percent
     return together + MAX_TIE_PERCENT * (term.kind in AHEAD), term.taken_percent
 
 
 def missing_terms(evidence: TrustInputs) -> tuple[MissingTerm, ...]:
-    """All columns that are independent of W; and zeros and rotors in its span,
-    which bias the parameters.
+    """Return all terms whose columns are independent of W, and the zeros and rotors in its span.
 
-    Negative Stribeck friction is left out: near standstill, filters and elasticity smooth
-        the sign of the speed. There are no negative rotors.
+    The latter bias the parameters. Negative Stribeck friction is left out: near standstill, filters
+    and elasticity smooth the sign of the speed. Negative rotor inertias do not exist.
     """
     found, asked = list[MissingTerm](), evidence.candidates.terms
     release_memory(evidence.observed.C)
@@ -174,8 +176,10 @@ def missing_terms(evidence: TrustInputs) -> tuple[MissingTerm, ...]:
 def _scored(
     evidence: TrustInputs, kind: str, terms: Sequence[MissingTerm], *, fast: bool
 ) -> list[MissingTerm]:
-    """Terms of a kind with their figures; `fast`: of a single one, with the rows of its joint in
-    which a lag shows only, and clocks beside the common lag, which its prior holds.
+    """Return the terms of a kind with their figures.
+
+    `fast`: for a single term, use the rows of its joint in which a delay shows, and estimate clock
+    drift beside the common delay, which its prior holds.
     """
     own = np.array([-1 if term.joint is None else term.joint for term in terms])
     acts = (evidence.observed.system.joint_of_row[:, None] == own) | (own < 0)
@@ -213,8 +217,9 @@ def _scored(
 
 
 def _by_fast_rows(evidence: TrustInputs, kind: str, acts: Bools) -> tuple[Estimate, Array, Array]:
-    """The estimate, its W, and the weights (r,) 0 or 1 of rows, without the slow rows in which a
-    term acts; clocks with a column for the common lag.
+    """Return the estimate, its W, and the weights (r,), 0 or 1, of the rows.
+
+    Slow rows in which a term acts have zero weight. Clock drift gets a column for the common delay.
     """
     rows = (evidence.observed.fast | ~acts).astype(float)  # so that no product is a further copy
     lag = evidence.observed.L[:, -len(evidence.lags) :].sum(axis=1, keepdims=True)
@@ -228,8 +233,10 @@ def _by_fast_rows(evidence: TrustInputs, kind: str, acts: Bools) -> tuple[Estima
 
 
 def _usable(evidence: TrustInputs, kind: str, C: Array, z: Array) -> tuple[Bools, Bools]:
-    """Which columns are independent of W, and which terms are kept: also a zero that acts at all,
-    and a rotor in the span of W but for rounding, which is a part of a link's parameter.
+    """Select the columns that are independent of W, and the terms to keep.
+
+    A zero that acts at all is kept. So is a rotor that lies in the span of W up to rounding,
+    because it is part of a link parameter.
     """
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
     independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
@@ -239,7 +246,9 @@ def _usable(evidence: TrustInputs, kind: str, C: Array, z: Array) -> tuple[Bools
 
 
 def _moves(evidence: TrustInputs, shifts: Array) -> Array:
-    """(k,) the largest shifts of essential parameters, in half-widths, of those (b, k) of beta."""
+    """Return the largest shifts (k,) of essential parameters, in half-widths, for shifts (b, k) of
+    beta.
+    """
     counts = np.isin(evidence.estimate.names, evidence.essential)[:, None]
     within = np.where(counts, evidence.intervals.half[:, None], np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -247,7 +256,9 @@ def _moves(evidence: TrustInputs, shifts: Array) -> Array:
 
 
 def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
-    """(k,) sizes of coefficients that are significant and take enough of the residual."""
+    """Return the sizes (k,) of coefficients that are significant and explain enough of the
+    residual.
+    """
     large = np.sqrt(0.01 * kinds.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
     with np.errstate(divide="ignore"):
         large = np.maximum(large, 1e-151) / np.linalg.norm(apart, axis=0)
@@ -255,7 +266,7 @@ def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
 
 
 def _columns(evidence: TrustInputs, terms: Sequence[MissingTerm]) -> Array:
-    """Columns (r, k) of terms of a kind: of C, or torques of the model by span of time."""
+    """Return the columns (r, k) of the terms of a kind: from C, or model torques by time block."""
     if terms[0].column >= 0:
         return evidence.observed.C[:, [term.column for term in terms]]
     kind, ends, middle = kinds.KINDS[terms[0].place[0]], evidence.ends, evidence.middles
@@ -270,5 +281,7 @@ def _columns(evidence: TrustInputs, terms: Sequence[MissingTerm]) -> Array:
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:
-    """Share of the square of rho (r,) that is not in what is left of it, (r,) or (r, k)."""
+    """Return the share of |rho|² that the remainder `left`, (r,) or (r, k), no longer has, in
+    percent.
+    """
     return np.asarray(100 * (1 - (left**2).sum(axis=0) / max(float(rho @ rho), 1e-300)))

@@ -28,8 +28,9 @@ LETTERS = ("Kp", "Kd", "Ki")
 
 
 def lag_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether torque and motion are synchronous, or the cost of not knowing it; the
-    line of the worst group.
+    """Test whether torque and motion are synchronous, or what an unknown delay costs.
+
+    Of several groups of recordings the worst result is returned.
     """
     return worst_of(_line_of_lag(evidence, lag) for lag in evidence.lags)
 
@@ -146,8 +147,8 @@ LAG = Words(
 
 
 def _largest_move(evidence: TrustInputs, lag: Lag) -> tuple[float, str]:
-    """The essential parameter that a deviation of the lag moves most, and how far, in half-widths
-    without the lag.
+    """Return the essential parameter that one standard error of the delay shifts most, and the
+    shift, in half-widths without the delay.
     """
     rest = intervals_of(evidence.observed.system, evidence.estimate).sigma
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
@@ -160,8 +161,8 @@ def _largest_move(evidence: TrustInputs, lag: Lag) -> tuple[float, str]:
 def control_law_line(
     problems: Sequence[Problem], laws: Sequence[FoundLaw | None]
 ) -> TrustResult | None:
-    """Whether the described controllers give the recorded efforts: the line
-    of the worst recording.
+    """Test whether the given controllers reproduce the recorded efforts; of several recordings
+    return the worst result.
     """
     names = [problem.signals.recording for problem in problems]
     each = zip(map(law_line, problems, laws), names, strict=True)
@@ -181,7 +182,7 @@ def control_law_line(
 
 
 def law_line(problem: Problem, law: FoundLaw | None) -> TrustResult | None:
-    """Return the line of a recording."""
+    """Return the result of one recording."""
     signals, controller = problem.signals, problem.signals.robot.controller
     unknown = {
         "no reference": signals.q_ref is None,
@@ -308,7 +309,9 @@ LAW = Words(
 
 
 def _gains(found: FoundLaw, j: int) -> str:
-    """The gains of a motor with their half-widths, and those described."""
+    """Return the controller gains of motor j with their half-widths, and those given in
+    robot.toml.
+    """
     return ", ".join(
         f"{LETTERS[i]} {found.gains[i, j]:.5g} ± {found.gains_half[i, j]:.2g}"
         + ("" if found.described is None else f" of {found.described[i, j]:.5g}")
@@ -317,8 +320,9 @@ def _gains(found: FoundLaw, j: int) -> str:
 
 
 def saturation_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether drives saturate at a limit that is not stated, where controller or simulated
-    robot are not confirmed.
+    """Test whether drives saturate at a limit that robot.toml does not give.
+
+    It runs only where the controller or the simulated robot is not confirmed.
     """
     lines = filter(None, map(evidence.made.get, ("fixed point", LAW.test)))
     if all(line.level not in LEVELS[:2] for line in lines):

@@ -26,8 +26,10 @@ MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis c
 
 
 def signs_and_order_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether a mistake undone halves the torque error, or, as a sign of a motor
-    that brakes, lowers it.
+    """Test for swapped channels and wrong signs.
+
+    Undo each candidate mistake in turn, and report it if that halves the torque error. For the sign
+    of a motor that absorbs power a lower torque error is enough.
     """
     rows, R = evidence.observed, evidence.robot.R
     rho, size = (
@@ -84,16 +86,16 @@ SIGNS = Words(
 
 
 def _power(evidence: TrustInputs) -> tuple[Array, Bools]:
-    """Sums (n, n) of the speeds of joints times the torques at joints, and which motors (n,) take
-    power from the robot.
+    """Return the sums (n, n) of joint speeds times torques, and a mask (n,) of the motors that
+    absorb power.
     """
     power, R = evidence.observed.speed.T @ evidence.observed.tau, evidence.robot.R
     return power, np.diag(R @ power @ np.linalg.inv(R)) < 0
 
 
 def sign_may_be_wrong(evidence: TrustInputs, joint: str) -> bool:
-    """Whether a motor that moves a joint brakes, or a sign turned, of its effort or its position,
-    does not raise the torque error.
+    """Test whether a motor of this joint brakes, or whether turning the sign of its effort or
+    position does not raise the torque error.
     """
     j = [one.name for one in evidence.robot.joints].index(joint)
     motors = np.flatnonzero(evidence.robot.R[:, j])
@@ -101,8 +103,9 @@ def sign_may_be_wrong(evidence: TrustInputs, joint: str) -> bool:
 
 
 def turned_sign(evidence: TrustInputs, motors: Collection[int] | Ints) -> tuple[float, str]:
-    """Of the signs of some motors the one that, turned, leaves the smallest torque error: that over
-    the error as it is, and the mistake that it would undo.
+    """Find the sign whose reversal leaves the smallest torque error, among these motors.
+
+    Return that error divided by the present one, and the mistake that it would undo.
     """
     with_it, undone = _undone(evidence, motors)
     return min((tried / max(with_it, 1e-300), mistake) for tried, mistake, *_ in undone)
@@ -111,8 +114,10 @@ def turned_sign(evidence: TrustInputs, motors: Collection[int] | Ints) -> tuple[
 def _undone(
     evidence: TrustInputs, motors: Collection[int] | Ints | None = None
 ) -> tuple[float, list[tuple[float, str, int | None, Array]]]:
-    """The torque error; and with each of the mistakes undone, of signs of `motors` only if these
-    are given: error, mistake, motor of a sign, and the map (n, n) of torques times speeds.
+    """Return the torque error, and one entry for each mistake that is undone.
+
+    An entry holds the error, the mistake, the motor of a sign, and the map (n, n) of torques times
+    speeds. If `motors` are given, only their signs are tried.
     """
     problem, one = evidence.problem.with_samples().first_minutes(), np.eye(evidence.robot.n)
     factors = _factors(problem, decimated := _decimated(problem), one)
@@ -129,8 +134,9 @@ def _undone(
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
-    """Mistakes, the motor of a sign, and the maps (n, n) of torques at joints and of positions,
-    None for that of efforts.
+    """Return mistakes, the motor of a sign, and the maps (n, n) of joint torques and of positions.
+
+    The map of positions is None for a mistake of efforts.
     """
     robot, one = problem.robot, np.eye(problem.robot.n)
     by_motors, to_motors = robot.R.T * robot.gain, np.linalg.inv(robot.R.T * robot.gain)
@@ -147,10 +153,12 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
 
 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
-    """The decimated motion q, dq, ddq (rows, n) from the zeros, and by joint (n, rows, n + 1) all
-    drives' torques and the known one. Columns are of this motion, not decimated themselves: ten
-    times as fast, and as good for errors of this size. The lag is the known one: one that was found
-    has the mistake in it.
+    """Return the decimated motion q, dq, ddq (rows, n) from the zeros, and the torques (n, rows, n
+    + 1).
+
+    For each joint these are all drives' torques and the external one. Columns are computed of this
+    motion and not decimated themselves: that is ten times as fast, and as good for errors of this
+    size. The delay is the known one, because an estimated delay would contain the mistake.
     """
     signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
@@ -167,8 +175,9 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
 
 
 def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -> Array:
-    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, and
-    torques of `decimated`.
+    """Return QR factors (n, k, b + n + 1) of each joint's rows, with positions mapped by B.
+
+    The columns come first, then the torques of `decimated`.
     """
     (q, dq, ddq), torques = [x @ B.T for x in decimated[0]], decimated[1]
     W = problem.model.regressor(q + problem.signals.robot.zero, dq, ddq)[
@@ -179,8 +188,8 @@ def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -
 
 
 def _error(factors: Array, A: Array) -> float:
-    """Relative torque error, rms of the joints, of least squares weighted by it, where the drives'
-    torques are mapped by A.
+    """Return the relative torque error (rms over the joints) of weighted least squares, with the
+    drives' torques mapped by A.
     """
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
@@ -191,7 +200,7 @@ def _error(factors: Array, A: Array) -> float:
 
 
 def positions_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether positions look like radians that were declared as degrees."""
+    """Test whether positions look like radians that were declared as degrees."""
     radians = any(RADIANS_AS_DEGREES in one.settings.warnings for one in evidence.problems)
     return POSITIONS.judge({"radians": radians}, text=RADIANS_AS_DEGREES)
 
@@ -211,7 +220,7 @@ POSITIONS = Words(
 
 
 def effort_test(evidence: TrustInputs) -> TrustResult | None:
-    """Recorded efforts beyond a limit of the description, which no drive gives."""
+    """Test for recorded efforts above a limit given in robot.toml, which no drive can reach."""
     found = dict.fromkeys(x for problem in evidence.problems for x in problem.settings.overloads)
     return EFFORT.judge({"beyond": found}, overloads="; ".join(found))
 

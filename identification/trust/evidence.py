@@ -35,12 +35,14 @@ def figures_of(
     half_widths: Iterable[float],
     expected: Iterable[float],
 ) -> tuple[Figure, ...]:
-    """Rows of numbers for a plot, of columns."""
+    """Return rows of numbers for a plot from columns."""
     return tuple(zip(names, *(map(float, x) for x in (values, half_widths, expected)), strict=True))
 
 
 def worst_of(lines: Iterable[TrustResult | None]) -> TrustResult | None:
-    """The first of the cautions, or of all, with the largest figure; None for no line."""
+    """Return the first caution, or the first result, with the largest figure; None if there is
+    none.
+    """
     return max(
         filter(None, lines),
         key=lambda x: (x.level == "caution", abs(x.value or 0.0)),
@@ -87,69 +89,68 @@ class TrustInputs:
 
     @property
     def problem(self) -> Problem:
-        """The first recording's: robot, model and base parameters are common to all."""
+        """The first recording's problem: robot, model and base parameters are common to all."""
         return self.problems[0]
 
     @property
     def robot(self) -> Robot:
-        """The robot as it is described."""
+        """The robot as described."""
         return self.problem.signals.robot
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the recordings."""
+        """Names of the recordings."""
         return tuple(problem.signals.recording for problem in self.problems)
 
     @cached_property
     def prior(self) -> dict[str, float]:
-        """A-priori base parameters of links, by name; empty where drive gains are not known."""
+        """A priori base parameters of links, by name; empty if drive gains are not known."""
         return self.candidates.prior[0] if self.robot.gain_known else {}
 
     @cached_property
     def prior_source(self) -> str:
-        """Where they are from, `URDF` or `[parameters]`; empty for none."""
+        """Source of the a priori parameters, `URDF` or `[parameters]`; empty for none."""
         return self.candidates.prior[1] if self.prior else ""
 
     @cached_property
     def prior_error_percent(self) -> float | None:
-        """The torque error of these links, held out, with all else fitted."""
+        """Held-out torque error of the a priori links, with everything else fitted."""
         return None if (line := self.made.get(BY_PRIOR)) is None else line.value
 
     @cached_property
     def ending(self) -> str:
-        """How the method ended, as a case of the test `fixed point`."""
+        """How the method ended, as a case of the test of convergence."""
         return "" if (line := self.made.get("fixed point")) is None else line.case
 
     @cached_property
     def gains(self) -> tuple[str, ...]:
-        """Names of the estimated gains; one is 1 where the drive gain of the problem's robot
-        is the identified one.
-        """
+        """Names of the estimated drive gains; a value of 1 confirms the drive gain of the robot."""
         return tuple(filter(is_gain, self.estimate.names))
 
     @property
     def by_recording(self) -> bool:
-        """Whether recordings are held out, not blocks of time."""
+        """True if recordings are held out, not time blocks."""
         return len(self.names) > 1 and not self.gains
 
     @cached_property
     def lengths(self) -> Ints:
-        """(S,) numbers of instants of the spans of time."""
+        """Numbers of instants of the time blocks, (S,)."""
         return np.concatenate([np.diff(own) for own in self.observed.system.spans])
 
     @cached_property
     def middles(self) -> Array:
-        """(S,) instants in the middle of the spans of time."""
+        """Instants in the middle of the time blocks, (S,)."""
         return np.cumsum(self.lengths) - 0.5 * self.lengths
 
     @property
     def ends(self) -> Ints:
-        """The first instant of the recordings, and the end of each."""
+        """First instant of the recordings, and the end of each."""
         return np.cumsum([0, *(own[-1] for own in self.observed.system.spans)])
 
     def spans(self, count: int) -> list[Part]:
-        """Equal parts of the time of the recordings together; of each recording, if a part alone
-        must determine drive gains.
+        """Divide the time of all recordings into `count` equal parts.
+
+        Each recording is divided by itself if a part alone must determine drive gains.
         """
         ends = self.ends if self.gains else self.ends[[0, -1]]
         cuts = ends[:-1] - -np.arange(count + 1)[:, None] * np.diff(ends) // count
@@ -159,54 +160,58 @@ class TrustInputs:
         ]
 
     def between(self, start: int, stop: int) -> Part:
-        """The spans of time from an instant to before another, rounded to the nearest borders."""
+        """Return the time blocks from one instant to before another, rounded to the nearest
+        borders.
+        """
         return (start <= self.middles) & (self.middles < stop)
 
     def count(self, part: Part) -> float:
-        """Number of rows of some spans of time: the sum of the squares of their weights."""
+        """Return the number of rows in some time blocks, the sum of the squares of their
+        weights.
+        """
         return float(np.sum(self.observed.share[np.repeat(part, self.lengths)] ** 2))
 
     @property
     def Z(self) -> Array:
-        """(r, p) instruments of all unknowns in the rows of W, which they are in least squares."""
+        """Instruments of all unknowns in the rows of W, (r, p); W itself for least squares."""
         return self.observed.Z if self.observed.Z.size else self.observed.system.W
 
     @cached_property
     def weight(self) -> Array:
-        """(r,) 1/s_j of the rows of the system."""
+        """Weights 1/s_j of the rows of the system, (r,)."""
         return np.asarray(self.estimate.weights[self.observed.system.joint_of_row])
 
     @cached_property
     def places(self) -> Ints:
-        """(b,) places of the estimated parameters in the system."""
+        """Indices of the estimated parameters in the system, (b,)."""
         return np.array([self.observed.system.names.index(name) for name in self.estimate.names])
 
     @cached_property
     def W(self) -> Array:
-        """(r, b) weighted columns of the estimated parameters."""
+        """Weighted columns of the estimated parameters, (r, b)."""
         return self.observed.system.W[:, self.places] * self.weight[:, None]
 
     @cached_property
     def Y(self) -> Array:
-        """(r,) weighted torques."""
+        """Weighted torques, (r,)."""
         return self.observed.system.Y * self.weight
 
     def factor(self, part: Part) -> Array:
-        """R factor of the weighted rows [Z W Y] of some spans of time."""
+        """Return the R factor of the weighted rows [Z W Y] of some time blocks."""
         system, rows = self.observed.system, part[self.observed.system.span]
         at = np.ix_(rows, self.places)
         return r_factor(self.weight[rows, None] * np.c_[self.Z[at], system.W[at], system.Y[rows]])
 
     def error(self, part: Part, beta: Array) -> float:
-        """|Y - W beta| of some spans of time, in the unit of the torque."""
+        """Return |Y - W beta| of some time blocks, in the unit of the torque."""
         system, rows = self.observed.system, part[self.observed.system.span]
         return float(np.linalg.norm(system.Y[rows] - system.W[np.ix_(rows, self.places)] @ beta))
 
 
 @dataclass(frozen=True)
 class Case:
-    """What a test says: one sentence with its figures, what to do, and the finding in a few words
-    for the first line of a report.
+    """One outcome of a test: a sentence with its figures, what to do, and the finding in a few
+    words.
     """
 
     level: Level
@@ -217,19 +222,19 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """The row of a test.
+    """The row of a test: its function and all its texts.
 
     Attributes:
         test: its name.
-        place: by which lines of the same level are sorted.
-        by: gives its line, None where it does not apply; without, the line is made with the
-            solution or with its predictions.
-        of_data: whether it tests the recording, not the estimate: the guides begin with these.
-        wrong, advice: for the guide what is wrong where it fails, and what to do.
-        detects, limit: the same in full, for the page of results.
-        cases: what it says, by name.
-        parts: of the texts of its cases.
-        unit: of its figures by joint, motor or block.
+        place: the order among results of the same level.
+        by: the function that returns the result, None where the test does not apply. Without it,
+            the result is made with the solution or with its predictions.
+        of_data: True if it tests the recording, not the estimate: the guides begin with these.
+        wrong, advice: for the guide, what is wrong where it fails, and what to do.
+        detects, limit: the same in full, for the page on reading a fit.
+        cases: its outcomes, by name.
+        parts: parts of the texts of its cases.
+        unit: the unit of its figures by joint, motor or block.
     """
 
     test: str
@@ -245,7 +250,7 @@ class Words:
     unit: str = ""
 
     def line(self, evidence: TrustInputs) -> TrustResult | None:
-        """The line of a fit."""
+        """Return the result of a fit."""
         return self.by(evidence) if self.by else evidence.made.get(self.test)
 
     def judge(
@@ -257,9 +262,9 @@ class Words:
         assumed: tuple[Assumed, ...] = (),
         **said: object,
     ) -> TrustResult | None:
-        """Return the line by the first of the cases that holds; None where none does.
+        """Return the result of the first case that holds; None if none does.
 
-        `cases`: by name whether they hold; `said`: the figures of their words, and which parts
+        `cases`: by name whether they hold. `figures`: the figures of their texts, and which parts
         hold.
         """
         name = next((name for name, holds in cases.items() if holds), None)
@@ -296,7 +301,7 @@ class Assumption:
 
 
 def written(text: str, parts: Mapping[str, str], said: Mapping[str, object]) -> str:
-    """Fill a template in, with its parts that hold."""
+    """Fill in a template with the parts that hold."""
     for name, part in reversed([*parts.items()]):
         text = text.replace(f"{{{name}}}", part if said.get(name, True) else "")
     return text.format(**said)

@@ -18,8 +18,8 @@ MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with th
 
 
 def gains_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether identified gains are positive, determined, and not all off by one factor beyond the
-    catalogue's own scatter.
+    """Test whether identified drive gains are positive, well determined, and not all wrong by one
+    factor beyond the scatter of catalogue values.
     """
     if not evidence.gains:
         return None
@@ -118,8 +118,8 @@ GAINS = Words(
 
 
 def _common_factor(factors: Array) -> tuple[float, float, bool]:
-    """Of factors (m,), nan where unknown, the median, the robust deviation of their logarithms, and
-    whether the median is off beyond that.
+    """Return the median of the factors (m,), nan where unknown, the robust standard deviation of
+    their logarithms, and whether the median differs from 1 by more than that.
     """
     of = np.log(np.maximum(np.abs(factors[np.isfinite(factors)]), 1e-300))
     if len(of) < 2:
@@ -131,8 +131,8 @@ def _common_factor(factors: Array) -> tuple[float, float, bool]:
 
 
 def centre_of_mass_test(evidence: TrustInputs) -> TrustResult | None:
-    """How far the centre of mass by the recordings alone is from the stated one; the
-    line of the worst payload.
+    """Compare the estimated centre of mass of each payload with the given one; return the worst
+    result.
     """
     names, lines = evidence.estimate.names, list[TrustResult | None]()
     for one in filter(None, dict.fromkeys(arm.payload for arm in evidence.arms)):
@@ -189,7 +189,7 @@ CENTRE_OF_MASS = Words(
 
 
 def payload_assumptions(evidence: TrustInputs) -> Iterator[Assumed]:
-    """Mass and frame of the payloads, which no test covers."""
+    """Return mass and frame of the payloads as assumptions, since no test covers them."""
     found = dict.fromkeys(arm.payload for arm in evidence.arms)
     for one in filter(None, found):
         weighed, always = one.payload.mass_kg is not None, None not in found

@@ -40,14 +40,16 @@ SELECT_TERMS = "run `robot-identify friction`"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class About:
-    """The model of a recording about values of its parameters, of which terms are made.
+    """The model of a recording, linearised at values of its parameters, from which terms are made.
 
     Attributes:
-        problem: of the recording; `beta`: (b,) its base parameters.
+        problem: the recording's problem.
+        beta: (b,) its base parameters.
         peak, most: (n,) largest speeds and torques of the joints in all recordings.
-        speed: (T, n) measured in the rows of this recording.
-        alone: whether there is no other recording.
-        simulated: whether the motion is of a simulated robot that follows a recorded reference.
+        speed: (T, n) measured speed in the rows of this recording.
+        alone: True if there is no other recording.
+        simulated: True if the motion is that of a simulated robot that follows a recorded
+            reference.
     """
 
     problem: Problem
@@ -60,24 +62,26 @@ class About:
 
     @cached_property
     def weighs(self) -> Ints:
-        """(g,) places of the base parameters of links that weigh."""
+        """Indices of the base parameters of links that weigh, (g,)."""
         idm, columns = self.problem.model, self.problem.base.columns
         q = np.sin(np.outer(np.arange(1, 6), np.arange(1, idm.robot.n + 1)))  # some poses
         arms = np.abs(idm.regressor(q, 0 * q, 0 * q)[:, :, columns] * idm.of_links[columns])
         return np.flatnonzero(arms.max(axis=(0, 1)) > MIN_ARM_M * np.linalg.norm(idm.robot.gravity))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Take along to other processes where blocks begin, not the speeds of all rows."""
+        """Return the state for other processes: where blocks begin, without the speeds of all
+        rows.
+        """
         return vars(self) | {"wound": self.wound, "speed": self.speed[:0]}
 
     @cached_property
     def travels(self) -> Array:
-        """(k, n) shares of each joint's travel."""
+        """Shares of each joint's travel, (k, n)."""
         return np.maximum(np.outer(TRAVELS, np.ptp(self.problem.poses, axis=0)), 1e-9)
 
     @cached_property
     def wound(self) -> dict[int, Array]:
-        """z (k, n) of hysteresis where a block begins, by its first row: that of the row before."""
+        """Hysteresis z (k, n) where a block begins, by its first row: that of the row before."""
         row_s = self.problem.settings.decimation / self.problem.signals.sample_rate_hz
         ways = row_s * np.concatenate([0 * self.travels[:1], self.speed])
         z = np.stack([dahl(ways / travel, ways[0]) for travel in self.travels])
@@ -85,12 +89,12 @@ class About:
 
     @cached_property
     def prior(self) -> tuple[dict[str, float], str]:
-        """A-priori base parameters of links, by name, and their source."""
+        """A priori base parameters of links, by name, and their source."""
         return base_prior(self.problem.model, self.problem.base)
 
     @property
     def robot(self) -> Robot:
-        """Its robot."""
+        """The recording's robot."""
         return self.problem.signals.robot
 
     @property
@@ -101,21 +105,22 @@ class About:
 
     @cached_property
     def links(self) -> DirectModel:
-        """The links, with nothing of parameters that are regrouped."""
+        """The links, without parameters that are regrouped."""
         idm, chi = self.problem.model, np.zeros(self.problem.model.p)
         chi[self.problem.base.columns] = self.beta
         return direct_model(idm, np.where(idm.of_links, chi, 0.0))
 
     def friction(self, name: str) -> Array:
-        """(n,) a hundredth of the friction of each joint by this name, Fc or Fv."""
+        """Return a hundredth of the friction of each joint (n,) by this name, Fc or Fv."""
         names = (self.problem.model.names[c] for c in self.problem.base.columns)
         value = dict(zip(names, 0.01 * self.beta, strict=True))
         return np.array([value.get(f"{name}{j + 1}", 0.0) for j in range(len(self.peak))])
 
 
 def dahl(steps: Array, begin: Array) -> Array:
-    """z (N, n) with dz = (dq - |dq| z) / x, from its first value on, by the steps dq / x: each is
-    z <- a z + b, put together in twos, fours and so on.
+    """Return z (N, n) of dz = (dq - |dq| z) / x from its first value on, by the steps dq / x.
+
+    Each step is z <- a z + b; steps are combined in pairs, then in fours, and so on.
     """
     a, reach = np.exp(-np.abs(steps)), 1
     z = np.asarray(np.sign(steps) * (1 - a))
@@ -136,17 +141,18 @@ class Kind:
     """A kind of term, at one place or several: at joints, axes, or directions of friction.
 
     Attributes:
-        name, torque: terms of one joint each share a column, unless they act `everywhere`. None for
-            those that are torques `of` the model, by the beginnings of their parameters' names,
-            times a function `in_time` of the time (S,), from -1/2 to 1/2, and of the place.
+        name, torque: terms of one joint each share a column, unless they act `everywhere`. `torque`
+            is None for those that are torques `of` the model, by the beginnings of their
+            parameters' names, times a function `in_time` of the time (S,), from -1/2 to 1/2, and of
+            the place.
         parts: columns of each joint, in sequence at its places.
-        unit: of the coefficient, by those of the joint that tells it.
+        unit: unit of the coefficient, by those of the joint.
         advice: what to do; where friction is a list in which it may be `listed`, to add it.
-        friction: the term of a joint's description that is this one.
-        at: its places, each its name and the joint that tells it.
-        lacks: whether a model without that may lack it at its k-th place.
-        missing: of `finding`, its end.
-        least_percent: as of `MissingTerm`.
+        friction: the friction term in the description of a joint that equals this one.
+        at: its places, each with its name and its joint.
+        lacks: tests whether a model without the term may lack it at its k-th place.
+        missing: the end of `finding`.
+        least_percent: as in `MissingTerm`.
     """
 
     name: str
@@ -168,12 +174,14 @@ class Kind:
 
 
 def stride_of(motion: MotionBlock) -> int:
-    """Step between samples that tell what links need."""
+    """Return the step between samples that suffices for the links."""
     return max(1, motion.decimation.factor // SAMPLES_A_ROW)
 
 
 def _directions(of: About) -> list[tuple[str, int]]:
-    """Of Coulomb friction: of a joint, or of the motor of the last joint that it moves."""
+    """Return the directions of Coulomb friction: of a joint, or of the motor of the last joint that
+    it moves.
+    """
     return [
         (f"of{' the motor of' * (len(at) > 1)} joint {of.robot.joints[at[-1]].name}", int(at[-1]))
         for at in map(np.flatnonzero, of.problem.model.coulomb_directions)
@@ -181,7 +189,7 @@ def _directions(of: About) -> list[tuple[str, int]]:
 
 
 def _turned(of: About, k: int) -> Array:
-    """Gravity (3,) per rad of a rotation about an axis of the base."""
+    """Return the change of gravity (3,) per rad of rotation about an axis of the base."""
     return np.cross(np.eye(3)[k], np.array(of.robot.gravity))
 
 
@@ -191,14 +199,16 @@ def _root(of: About, x: MotionBlock, links: Array, k: int) -> Array:
 
 
 def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
-    """Where joint k moves by a hundredth more than told, and its motor's torque is as much more."""
+    """Return the torque of joint k with a ratio that is wrong by one percent, in motion and in
+    motor torque.
+    """
     torque = np.array(links[..., 1 + len(of.peak) + k])
     torque[:, k] += x.tau[:, k]
     return np.asarray(0.01 * torque)
 
 
 def _of_parts(of: About) -> list[tuple[str, int]]:
-    """Of each joint in each part of the time, of several recordings in the same part of each."""
+    """Return each joint in each part of the time; the parts of several recordings coincide."""
     first, last = of.span_s if of.alone else (0.0, 100.0)
     borders = np.linspace(first, last, PARTS + 1)
     unit = "s" if of.alone else "% of each recording"
@@ -207,12 +217,14 @@ def _of_parts(of: About) -> list[tuple[str, int]]:
 
 
 def _of_springs(of: About) -> float:
-    """The share of the residual that springs take: any slow error looks like a slow position."""
+    """Return the least share of the residual for springs: any slow error resembles a slow
+    position.
+    """
     return MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0
 
 
 def _hysteresis(of: About, x: MotionBlock, _: Array, k: int) -> Array:
-    """z (N, n) of friction of Dahl, x a share of each joint's travel."""
+    """Return z (N, n) of Dahl friction, with x a share of each joint's travel."""
     travel, begin = (every[k % len(TRAVELS)] for every in (of.travels, of.wound[x.near.start]))
     return dahl(np.diff(x.q, axis=0, prepend=x.q[:1]) / travel, begin)
 

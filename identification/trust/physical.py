@@ -39,10 +39,10 @@ Check = Callable[[str], bool]  # whether a sign may be wrong, by a joint's name
 
 
 def physical_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether the parameters are physical; each finding names the joint to check.
+    """Test whether the parameters are physically plausible; each finding names the joint to check.
 
-    Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints
-    with small torques: weighted least squares is tested as well.
+    Ordinary least squares weights all rows equally, so its standard errors hide wrong signs of
+    joints with small torques. Weighted least squares is therefore tested as well.
     """
     check = cache(partial(sign_may_be_wrong, evidence))
     found, lowest = _findings(evidence, check)
@@ -127,8 +127,8 @@ PHYSICAL = Words(
 
 
 def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], float]:
-    """Physically impossible values of the estimate, and the lowest eigenvalue
-    of M on the trajectory.
+    """Return the physically impossible values of the estimate, and the lowest eigenvalue of M on
+    the trajectory.
     """
     # by recording the base parameters (b, e) in the estimate
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
@@ -144,7 +144,7 @@ def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], f
 def _findings_below_zero(
     evidence: TrustInputs, own: Sequence[Bools], check: Check
 ) -> Iterator[TrustResult | None]:
-    """Joints with friction or rotor inertia below zero."""
+    """Return findings on joints with negative friction or rotor inertia."""
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     apart, by_base = any(map(is_own, evidence.estimate.names)), np.linalg.pinv(base.K)
     # by joint and kind: half-widths, and a text
@@ -173,8 +173,10 @@ def _findings_below_zero(
 def _finding(
     far: float, what: str, joint: str, check: Check, *, noise: bool = False, terms: bool = False
 ) -> TrustResult | None:
-    """Of a value that is so many half-widths below zero; whether by fewer it may be `noise`, and
-    whether further friction `terms` may be the cause.
+    """Return the finding on a value that is `far` half-widths below zero.
+
+    `noise`: below how many half-widths it may be noise. `terms`: friction terms that may be the
+    cause.
     """
     sign, certain = check(joint), far > MAX_HALF_WIDTHS
     return PHYSICAL.judge(
@@ -194,9 +196,10 @@ def _finding(
 def _worst(
     G: Array, evidence: TrustInputs
 ) -> tuple[float, float, float, Array, tuple[np.intp, ...], float]:
-    """Of the matrices G beta, G (..., d, d, b), v'(G beta)v that is most half-widths below zero of
-    the directions v (d,) tried: how many, that, its half-width, v, and where; their lowest
-    eigenvalue.
+    """Find the matrix G beta, G (..., d, d, b), whose v'(G beta)v is most half-widths below zero.
+
+    Return how many half-widths, the value, its half-width, the direction v (d,), its index, and the
+    lowest eigenvalue of the matrices.
     """
     found, M = evidence.intervals, G @ evidence.estimate.beta
     values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))
@@ -213,12 +216,12 @@ def _worst(
 def _driving_findings(
     evidence: TrustInputs, arms: Sequence[Bools], check: Check
 ) -> Iterator[TrustResult | None]:
-    """Whether friction of further terms would drive a joint, or joints that share
-    motors, at recorded speeds.
+    """Test whether further friction terms would drive a joint, or joints that share motors, at
+    recorded speeds.
 
-    A single term does not decide: root friction may be negative if viscous friction
-    compensates for it. Constant offsets are not friction. A recording's own parameters are
-    tested at its own speeds.
+    A single term does not decide: square-root friction may be negative if viscous friction
+    compensates for it. Constant offsets are not friction. Per-recording parameters are tested at
+    the speeds of their recording.
     """
     idm, columns, each = evidence.problem.model, evidence.problem.base.columns, list[Array]()
     for problem, of_arm in zip(evidence.problems, arms, strict=True):
@@ -247,7 +250,7 @@ def _driving_findings(
 def _finding_of_inertia(
     evidence: TrustInputs, own: Bools, check: Check
 ) -> tuple[TrustResult | None, float]:
-    """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
+    """Return a finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     q = np.concatenate([problem.poses for problem in evidence.problems])
     idm, columns = evidence.problem.model, evidence.problem.base.columns
     # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta: (n + 1, P, n, e) of 0 and of each joint
@@ -265,7 +268,7 @@ def _finding_of_inertia(
 
 
 def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
-    """Whether a model without gravity fits better, as for compensated efforts, unless axes are
+    """Test whether a model without gravity fits better, as for compensated efforts, unless axes are
     vertical.
     """
     base, rows, weighs = evidence.problem.base, evidence.observed, evidence.candidates.weighs
@@ -284,8 +287,8 @@ def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
 
 
 def consistent_test(evidence: TrustInputs) -> TrustResult | None:
-    """Distance of the nearest consistent parameters: chi-squared, and the largest move in
-    half-widths of the intervals.
+    """Return the distance to the nearest physically consistent parameters: chi², and the largest
+    change in half-widths.
     """
     problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:

@@ -41,8 +41,8 @@ class HeldOut:
     """A recording predicted by the fit of the others, in the rows that count.
 
     Attributes:
-        error_percent: its torque error, in percent of its torque; None where the others do not
-            determine the parameters, or it has no torque.
+        error_percent: its torque error, in percent of its torque; None if the others do not
+            determine the parameters, or if it has no torque.
         undetermined: names of the parameters that the others do not determine.
     """
 
@@ -51,12 +51,12 @@ class HeldOut:
 
 
 def _predicted_parts(evidence: TrustInputs) -> list[tuple[str, Part, Array, list[str]]]:
-    """Five blocks of time of one recording, or each of several: name, spans of time, the parameters
-    (b,) of the fit of the others that predict it, and which of them these do not determine; none
-    where the others have too few rows. A recording's own parameters are fitted to it, as the others
-    do not contain them.
+    """Return five time blocks of one recording, or each of several recordings.
 
-    With drive gains the blocks are of each recording: none alone determines them.
+    Each has its name, its time blocks, the parameters (b,) of the fit of the others that predict
+    it, and those that the others do not determine. There is none if the others have too few rows.
+    Per-recording parameters are fitted to their recording, since the others do not contain them.
+    With drive gains each recording is divided into blocks, because none alone determines the gains.
     """
     estimate, several = evidence.estimate, evidence.by_recording
     own = [arm.own for arm in evidence.arms] if several else [set[str]()] * BLOCKS
@@ -79,10 +79,10 @@ def _held_out(
     at: Ints,
     torques: tuple[Array, Array, Array, Bools],
 ) -> tuple[TrustResult | None, tuple[HeldOut, ...]]:
-    """The line, and the errors of recordings, by rows of the spans `at` (T,): torques (T, n) as
-    measured, by the fit and by the others, and which count.
+    """Return the result, and the errors of recordings, by rows of the time blocks `at` (T,).
 
-    Errors in percent are of the torque; where the model does not hold, joints stand: those of
+    `torques` (T, n): measured, by the fit, by the others, and which count. Errors in percent are
+    relative to the torque. Where the model does not hold, joints are at rest; the errors of
     weighted rows leave that out.
     """
     several, (tau, trained, by_others, counts) = evidence.by_recording, torques
@@ -123,8 +123,10 @@ def _held_out(
 def _line_of(
     evidence: TrustInputs, names: list[str], norms: Array, without: str
 ) -> TrustResult | None:
-    """The line of parts, by the norms (k, 5) of their torque, its errors held out and trained, and
-    those of weighted rows; `without` tells of the other parts.
+    """Return the result of parts, by the norms (k, 5) of their torque, of the errors held out and
+    fitted, and of those of weighted rows.
+
+    `without` describes the other parts.
     """
     several = evidence.by_recording
     if not names:
@@ -195,9 +197,10 @@ HELD_OUT = Words(
 def predictions_by_others(
     factors: Sequence[Array], names: tuple[str, ...], own: Sequence[Collection[str]]
 ) -> list[tuple[Array, list[str]]]:
-    """Parameters (b,) to predict each part by the fit of the others, its `own` ones fitted to it,
-    from R factors of weighted rows [Z W Y]; and the names of those that the others do not
-    determine.
+    """Return the parameters (b,) that predict each part by the fit of the others.
+
+    They are computed from R factors of weighted rows [Z W Y]; the parameters `own` are fitted to
+    the part itself. The names of those that the others do not determine are returned too.
     """
     found = list[tuple[Array, list[str]]]()
     size = np.linalg.norm(np.concatenate(factors)[:, len(names) : -1], axis=0)
@@ -219,7 +222,9 @@ def predictions_by_others(
 def _betas(
     evidence: TrustInputs, parts: list[tuple[str, Part, Array, list[str]]]
 ) -> list[Estimate]:
-    """The estimates that predict the parts, of those that others do not determine that of all."""
+    """Return the estimates that predict the parts; parameters that the others do not determine keep
+    the values of the whole fit.
+    """
     whole = evidence.estimate
     return [whole if lost else replace(whole, beta=beta) for _, _, beta, lost in parts] or [whole]
 
@@ -227,10 +232,12 @@ def _betas(
 def with_predictions(
     evidence: TrustInputs, predict: Predict
 ) -> tuple[TrustInputs, tuple[HeldOut, ...], tuple[Array, Array, Bools, list[Array]]]:
-    """The same with the lines of what the fit of other blocks or recordings predicts, and of what
-    the prior's links do with all else fitted to the others; recordings so predicted, empty for
-    blocks; torques (T, n) as measured and by the fit, which rows count, and by recording their
-    instants.
+    """Add the results of predictions by the fit of other blocks or recordings, and by the a priori
+    links.
+
+    The a priori links are combined with everything else fitted to the others. Also return the
+    recordings so predicted (empty for blocks), the torques (T, n) as measured and by the fit, which
+    rows count, and the instants by recording.
     """
     system, estimate = evidence.observed.system, evidence.estimate
     release_memory(evidence.observed.C)
@@ -255,8 +262,9 @@ def with_predictions(
 
 
 def _by_links(evidence: TrustInputs) -> TrustInputs | None:
-    """The same with the prior's links, and all else fitted beside them; None where it has none, or
-    the recordings do not determine the rest.
+    """Return the same with the a priori links, and everything else fitted beside them.
+
+    It is None if there are no such links, or if the recordings do not determine the rest.
     """
     if not evidence.prior or evidence.gains:
         return None

@@ -47,8 +47,10 @@ FACTORS = {"degrees": 180 / np.pi, "sign": -1.0}  # of positions
 
 
 def prior_test(evidence: TrustInputs) -> TrustResult | None:
-    """By joint its torque over that of the prior's links; joints that seem exchanged or in other
-    units. Never `do not use`.
+    """Compare each joint's torque with that of the a priori links; detect swapped joints and other
+    units.
+
+    The result is never `do not use`.
     """
     if not evidence.prior or evidence.gains:
         return None
@@ -144,8 +146,8 @@ PRIOR = Words(
 
 
 def known_and_free(evidence: TrustInputs) -> tuple[Array, Ints]:
-    """(p,) values of the system's parameters by the prior, zero where it has none; places of those
-    that are fitted instead.
+    """Return the a priori values (p,) of the system's parameters, zero where there is none, and the
+    indices of those that are fitted instead.
     """
     names, estimated = evidence.observed.system.names, evidence.estimate.names
     values = np.array([evidence.prior.get(base_name(name), np.nan) for name in names])
@@ -153,9 +155,11 @@ def known_and_free(evidence: TrustInputs) -> tuple[Array, Ints]:
 
 
 def _factors(evidence: TrustInputs) -> Array:
-    """By joint (4, n) its factor and half the 95 % interval of that, and shares of the square of
-    its torque, both without what is not of links: what the prior's links explain with the factor,
-    and their own. Zeros where it is undetermined.
+    """Return for each joint (4, n) its factor, half the 95 % interval of that, and two shares of
+    torque variance.
+
+    Both shares leave out what is not of links: what the a priori links explain with the factor, and
+    their own. Values are zero where the factor is not well determined.
     """
     system, (known, free) = evidence.observed.system, known_and_free(evidence)
     size, found = np.linalg.norm(system.W, axis=0), np.zeros((4, evidence.robot.n))
@@ -187,7 +191,7 @@ class Mistake:
     Attributes:
         text: what is wrong; empty for the recording as it is.
         efforts, positions: (n,) the joints whose columns are taken for each joint.
-        factors, turns: (n,) of these positions, and what is added to them then.
+        factors, turns: (n,) factors of these positions, and what is added to them then.
         gravity: (3,) what is added to the gravity of the description.
     """
 
@@ -200,8 +204,9 @@ class Mistake:
 
 
 def cause_by_prior(evidence: TrustInputs) -> str:
-    """The mistake that, undone, lets the prior's links explain the torques far better; "" for none,
-    in some 300 rows of the first recording.
+    """Find the mistake that, once undone, lets the a priori links explain the torques far better.
+
+    It is tried in some 300 rows of the first recording; "" if there is none.
     """
     at, *motion = row_states(evidence.problem)
     mistakes = [*_mistakes(evidence.robot)]
@@ -223,7 +228,7 @@ def cause_by_prior(evidence: TrustInputs) -> str:
 
 
 def _mistakes(robot: Robot) -> Iterator[Mistake]:
-    """The mistakes that are tried, first none."""
+    """Return the mistakes to try, first none."""
     names, same = [joint.name for joint in robot.joints], np.arange(robot.n)
     none = Mistake("", same, same, np.ones(robot.n), np.zeros(robot.n))
     yield none
@@ -255,7 +260,9 @@ def _mistakes(robot: Robot) -> Iterator[Mistake]:
 def _torque_of_links(
     evidence: TrustInputs, motion: Sequence[Array], mistakes: Sequence[Mistake]
 ) -> Array:
-    """(rows, mistakes, n) torque of the prior's links, with the payload, along the motions."""
+    """Return the torque (rows, mistakes, n) of the a priori links, with the payload, along the
+    motions.
+    """
     problem, payload = evidence.problem, evidence.arms[0].payload
     beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0

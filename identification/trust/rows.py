@@ -21,7 +21,9 @@ END_ROWS = 5  # rows at each end that a bad edge affects
 
 
 def motion_test(evidence: TrustInputs) -> TrustResult | None:
-    """Joints that stand in all recordings; friction of creeping differs from that of motion."""
+    """Test for joints that do not move in any recording: friction of creeping differs from that of
+    motion.
+    """
     speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
     names = ", ".join(standing_joints(speed, robot.joints))
     return MOTION.judge({"standing": names}, names=names)
@@ -48,8 +50,10 @@ MOTION = Words(
 
 
 def rows_test(e: TrustInputs) -> TrustResult | None:
-    """The recording with most missing or repeated rows; else those with rows that nobody measured,
-    or one whose encoders are slower than the log.
+    """Find the recording with most missing or repeated rows.
+
+    Without one, find those with rows that were not measured, or one whose encoders are slower than
+    the log.
     """
     counted, coarse = zip(
         *(
@@ -112,8 +116,8 @@ ROWS = Words(
 
 
 def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
-    """The note on positions that stand for one row and jump in the next,
-    which are not missing rows.
+    """Return the note on positions that stay for one row and jump in the next, which are not
+    missing rows.
     """
     percent = 100 * coarse[:, 1:] / np.maximum(coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
@@ -126,8 +130,8 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
 
 
 def ends_test(evidence: TrustInputs) -> TrustResult | None:
-    """Outliers of moving rows, beyond 6 robust deviations of their joint,
-    especially at the ends.
+    """Test for outliers of rows in motion, with a robust z-score above 6, especially at the
+    ends.
     """
     rho = np.abs(evidence.observed.tau - evidence.predicted)
     used = (evidence.observed.share > 0) & estimation.are_moving(evidence.observed.speed)

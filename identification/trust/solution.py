@@ -21,7 +21,7 @@ MAX_CONDITION = 50.0  # of scaled columns; 7 to 11 of motions of five sines
 
 
 def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustResult | None:
-    """Whether the passes ended in a fixed point that the simulated robot confirms."""
+    """Test whether the iterations converged to a solution that the simulated robot confirms."""
     converged = status == "converged"
     return FIXED_POINT.judge(
         {
@@ -92,7 +92,7 @@ POSITION_NOISE = Words(
 
 
 def instruments_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether the instruments explain the regressor, and are more than the regressor itself."""
+    """Test whether the instruments explain the regressor, and differ from the regressor itself."""
     if (F := evidence.first_stage_F) is None:
         return None
     return INSTRUMENTS.judge(
@@ -127,8 +127,9 @@ INSTRUMENTS = Words(
 
 
 def units_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether joints share parameters although their drive gains are not known: then the torques
-    are in different units.
+    """Test whether joints share parameters although their drive gains are not known.
+
+    Their torques are then in different units.
     """
     robot, rows = evidence.robot, evidence.observed.system
     size = np.stack(
@@ -165,7 +166,7 @@ UNITS = Words(
 
 
 def essential_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether the interval of some inertia is narrower than its value."""
+    """Test whether the interval of at least one inertia is narrower than its value."""
     base, idm, names = (
         evidence.problem.base,
         evidence.problem.model,
@@ -202,8 +203,9 @@ ESSENTIAL = Words(
 
 
 def excitation_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether the motion excites all combinations of the essential parameters: a single sine moves
-    joints as well, but always together.
+    """Test whether the motion excites all combinations of the essential parameters.
+
+    A single sine moves joints as well, but always together.
     """
     names = np.array(evidence.estimate.names)
     essential = np.isin(names, evidence.essential)
@@ -246,8 +248,9 @@ EXCITATION = Words(
 
 
 def halves_test(evidence: TrustInputs) -> TrustResult | None:
-    """Whether both halves of the recording give the same parameters: a Wald test, with the
-    cosines of both as freedom.
+    """Test whether both halves of the recording give the same parameters.
+
+    This is a Wald test, with the cosines of both halves as degrees of freedom.
     """
     T, cuts = len(evidence.observed.tau), evidence.ends[1:-1]
     # recordings are not cut
@@ -303,7 +306,9 @@ HALVES = Words(
 
 
 def _solve_part(evidence: TrustInputs, part: Part) -> estimation.Intervals | None:
-    """Intervals of the parameters by a span of time; None where they are undetermined."""
+    """Return the intervals of the parameters by a time block; None if they are not well
+    determined.
+    """
     rows = part[evidence.observed.system.span]
     values = np.linalg.eigvalsh(evidence.estimate.Q[rows].T @ evidence.estimate.Q[rows])
     determined = values[0] > MIN_SQUARE_OF_HALF * values[-1]

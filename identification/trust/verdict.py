@@ -21,14 +21,14 @@ MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 class Trust:
     """All tests of a fit, worst first, and the assumptions that no test covers.
 
-    A test that was not made does not count.
+    A skipped test does not count.
     """
 
     lines: tuple[TrustResult, ...]
     assumed: tuple[Assumed, ...] = ()
 
     def line(self, test: str) -> TrustResult:
-        """The line of a test."""
+        """Return the result of a test."""
         return next(line for line in self.lines if line.test == test)
 
     @cached_property
@@ -39,13 +39,13 @@ class Trust:
 
     @property
     def finding(self) -> str:
-        """The worst finding in a few words; empty where there is none."""
+        """The worst finding in a few words; empty if there is none."""
         worst = self.lines[0]
         return "" if self.verdict == "trust" else worst.finding or worst.test
 
 
 def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> Iterator[Assumed]:
-    """Assumptions that no test covers, by the lines of tests."""
+    """List the assumptions that no test covers, by the results of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv = signals.sample_rate_hz, evidence.method == "iv"
     law, lag = lines["control law"], lines.get("lag")
@@ -98,9 +98,10 @@ WORDS: Mapping[str, Words] = {
 
 
 def trust_in(evidence: TrustInputs) -> Trust:
-    """All tests of an estimate, worst first, and the assumptions: `do not use` if M is not positive
-    and the held-out blocks fail, or if the parameters are far from those of a robot and a witness
-    says why.
+    """Return all tests of an estimate, worst first, and the assumptions.
+
+    The result is `do not use` if M is not positive and cross-validation fails, or if the parameters
+    are far from those of a physically consistent robot and a second sign confirms this.
     """
     lines = {
         row.test: line
@@ -131,9 +132,11 @@ def trust_in(evidence: TrustInputs) -> Trust:
 
 
 def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
-    """What else tells that parameters are wrong that are far from those of a physical robot: a
-    negative factor of the prior, a sign that fits better turned, or a large held-out error; "" for
-    nothing.
+    """Return a second sign that parameters far from a physically consistent model are wrong; "" for
+    none.
+
+    Such signs are a negative factor of the a priori links, an effort sign that fits better
+    reversed, or a large held-out error.
     """
     consistent, of_prior = lines.get("consistent"), lines.get("prior")
     if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
@@ -151,5 +154,5 @@ def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
 
 
 def worst_first(lines: Iterable[TrustResult]) -> tuple[TrustResult, ...]:
-    """Lines sorted by level."""
+    """Sort results by level."""
     return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))
