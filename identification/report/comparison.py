@@ -23,7 +23,7 @@ class ParameterSet:
 
     @classmethod
     def of_file(cls, stored: FitFile, label: str) -> "ParameterSet":
-        """The parameters of a fit's file."""
+        """Return the parameters of a fit's file."""
         return cls(label=label, parameters={p.name: p for p in stored.parameters})
 
 
@@ -31,8 +31,8 @@ class ParameterSet:
 class Difference:
     """A parameter of two sets; None where one of them has no such parameter.
 
-    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference of
-    independent values: above 1.96 the difference is significant.
+    `off` is a - b, `off_percent` in percent of b, `off_sigma` in standard errors of the difference
+    of independent values: above 1.96 the difference is significant.
     """
 
     name: str
@@ -45,11 +45,14 @@ class Difference:
 
 
 def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
-    """Differences by parameter: those of `a` first, then those that only `b` has.
+    """Return the differences by parameter: those of `a` first, then those that only `b` has.
 
-    Parameters are matched by their expressions in standard parameters; without
-    expressions, by name. Raises `BadInputError` where the two have nothing in common, or a
-    parameter has different units.
+    Parameters are matched by their expressions in standard parameters; without expressions, by
+    name.
+
+    Raises
+    ------
+    BadInputError : the two have nothing in common, or a parameter has different units.
     """
     partners = _partners(a, b)
     Location(f"{a.label} and {b.label}").require(
@@ -99,8 +102,9 @@ def _have_expressions(*sets: ParameterSet) -> bool:
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """Names in `b` of the parameters in `a`; a recording's own is that of the same recording,
-    or else the shared one.
+    """Return the names in `b` of the parameters in `a`.
+
+    A per-recording parameter matches that of the same recording, or else the shared one.
     """
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
@@ -113,7 +117,7 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
-    """The comparison in words."""
+    """Describe the comparison in words."""
     by_name = "parameters matched by name: a file of an earlier version has no expressions"
     lines = [] if _have_expressions(a, b) else [by_name]
     off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
@@ -136,8 +140,10 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(
     a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
 ) -> Document:
-    """A comparison as a report with `warnings`, in short the largest differences in sigma; with a
-    `prior` b, also a over b.
+    """Make the report of a comparison with `warnings`; the short form has the largest differences
+    in sigma.
+
+    With a `prior` b it also has a over b.
     """
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:
@@ -159,7 +165,7 @@ def comparison_document(
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
-    """A comparison as a section, with half-widths of the 95 % intervals."""
+    """Make the section of a comparison, with half-widths of the 95 % intervals."""
     rows = differences(a, b)
     return Section(
         title=f"{a.label} and {b.label}",
@@ -190,8 +196,9 @@ def _cells(row: Difference) -> Row:
 
 
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """One line if the link frames of two fits, named by `labels`, differ: equal names then
-    mean different quantities.
+    """Return a line if the link frames of two fits, named by `labels`, differ.
+
+    Equal names then mean different quantities.
     """
     if not a.description or not b.description:
         return []
@@ -212,7 +219,7 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
 
 
 def _frames(description: dict[str, str], place: str) -> str | list[object]:
-    """The source of the link frames: the URDF's text, or the DH rows."""
+    """Return the source of the link frames: the URDF's text, or the DH rows."""
     if "robot.urdf" in description:
         return description["robot.urdf"]
     try:

@@ -27,7 +27,7 @@ class Number:
 
     @property
     def exact(self) -> float | None:
-        """The number itself; None where it is not finite."""
+        """The number itself; None if it is not finite."""
         return None if self.value is None or not math.isfinite(self.value) else self.value
 
     @property
@@ -65,9 +65,9 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of a report: a title, a table, lines, warnings; each may be missing.
+    """A section of a report: a title, a table, lines and warnings; each may be missing.
 
-    `short` is what a terminal prints of it without `--all`; None for all of it.
+    `short` is the part that a terminal prints without `--all`; None for all of it.
     """
 
     title: str = ""
@@ -77,8 +77,8 @@ class Section:
     short: "Section | None" = None
 
     def with_short_table(self, order: Sequence[int], most: int = 10) -> "Section":
-        """The section, of whose table, if long, a terminal prints only the `most` rows that
-        come first in `order`.
+        """Return the section with a short form of a long table: the `most` rows that come first in
+        `order`.
         """
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self
@@ -89,8 +89,9 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """A report: a headline and sections in reading order; of a fit its verdict as `badge`, and
-    figures by what they are.
+    """A report: a headline and sections in reading order.
+
+    A fit also has its verdict as `badge`, and figures by their meaning.
     """
 
     title: str
@@ -100,42 +101,42 @@ class Document:
 
     @property
     def short(self) -> "Document":
-        """What a terminal prints of the report without `--all`."""
+        """The part of the report that a terminal prints without `--all`."""
         return replace(self, sections=tuple(section.short or section for section in self.sections))
 
     def followed_by(self, *sections: Section) -> "Document":
-        """The report with `sections` appended."""
+        """Return the report with `sections` appended."""
         return replace(self, sections=(*self.sections, *sections))
 
 
 def columns(*texts: str, numbers: tuple[str, ...] = ()) -> Columns:
-    """Columns of a table by their headings: texts, then numbers."""
+    """Return the columns of a table by their headings: texts, then numbers."""
     return (*((heading, False) for heading in texts), *((heading, True) for heading in numbers))
 
 
 def value_form(sigma: float) -> str:
-    """The format of a value with this deviation: four decimals, or more for three
-    digits of the deviation.
+    """Return the format of a value with this standard error.
+
+    It has four decimals, or more to show three digits of the standard error.
     """
     return f".{max(4, min(12, 2 - math.floor(math.log10(sigma)))) if sigma > 0 else 4}f"
 
 
 def cell_text(cell: Cell) -> str:
-    """The text of a cell."""
+    """Return the text of a cell."""
     return cell if isinstance(cell, str) else cell.text
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The base of the JSON files that are read again: the version of their
-    format, which all have.
-    """
+    """The base of JSON files that are read again, with the version of their format."""
 
     format: int = FORMAT
 
 
 def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
-    """Write a result, or its keys, as a JSON file, whole or not at all; a number that
-    is not finite is null.
+    """Write a result, or its keys, as a JSON file, completely or not at all.
+
+    A number that is not finite becomes null.
     """
     # numpy's to Python's
     plain = json.loads(

@@ -40,17 +40,17 @@ T = TypeVar("T")
 
 
 def known(value: T | UnsetType | None) -> T | None:
-    """The value of a key; None where the file has none."""
+    """Return the value of a key; None if the file has none."""
     return None if isinstance(value, UnsetType) else value
 
 
 class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative torque error 100 |Y - W beta| / |Y| in percent; the torque's unit.
+    """Relative torque error 100 |Y - W beta| / |Y| in percent, and the unit of the torque.
 
-    Of the rows in which the joint moves, as in a fit, not weighted, behind filters that depend on
-    the motion only, whatever those of the fit are; None without such rows or torque. The key with
-    `moving` is the same. Standing rows are the others: no fit has them. `autocorrelation` is of the
-    residual at a lag of one row, `residual_rms` in the unit.
+    It is computed in the rows in which the joint moves, as in a fit, without weights, after filters
+    that depend on the motion only, whatever those of the fit are. It is None without such rows or
+    torque. The key with `moving` is the same. Rows at standstill are the others: no fit has them.
+    `autocorrelation` is that of the residual at one row, `residual_rms` its rms in the unit.
     """
 
     name: str = ""
@@ -65,10 +65,11 @@ class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
-    """An F test: of leaving out all but the essential parameters, `names`, and those with an
-    interval wider than the value; or of sharing the own ones, `names`.
+    """An F test of leaving out parameters, or of sharing per-recording ones; `names` lists them.
 
-    A small p rejects that. The effective values are corrected for the residual's correlation.
+    The parameters left out are all but the essential ones, and those with an interval wider than
+    the value. A small p rejects the hypothesis. The effective values are corrected for the
+    residual's correlation.
     """
 
     names: tuple[str, ...]
@@ -79,7 +80,7 @@ class FTest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a torque as known without a fit."""
+    """The delay of a torque as known without a fit."""
 
     value_s: float
     sd_s: float | None = None  # missing in a file of an earlier version
@@ -87,8 +88,8 @@ class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a recording's torque, s, positive: late, corrected by the fit and
-    included in its intervals.
+    """The delay of a recording's torque, s, positive if late; corrected by the fit and included in
+    its intervals.
     """
 
     value_s: float
@@ -112,9 +113,9 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """One test of a fit.
 
     Attributes:
-        test: its name, such as `lag`.
-        level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
-        value: its figure, None where there is none.
+        test: its name, such as `convergence`.
+        level: `skipped` if the test could not be made, `inconclusive` if it cannot decide.
+        value: its figure, None if there is none.
         text: one sentence with the figure, and what to do.
         finding: the same in a few words, for the first line of a report.
         figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
@@ -137,7 +138,7 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A pass of the instrumental variable method."""
+    """An iteration of the instrumental variable method."""
 
     instruments: str
     reason: str | None
@@ -152,8 +153,8 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative errors of a simulated joint: of |q - mean|, None where the joint
-    is held, and of |tau|.
+    """Relative errors of a simulated joint: of |q - mean|, None if the joint is held, and of
+    |tau|.
     """
 
     name: str
@@ -162,14 +163,14 @@ class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def versions() -> dict[str, str]:
-    """Versions, by package, of this program and of those that its numbers depend on."""
+    """Return the versions, by package, of this program and of those that its numbers depend on."""
     from importlib.metadata import version
 
     return {name: version(name) for name in ("robot-idim", "numpy", "scipy", "pin")}
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a result comes from: the recording by name and digest, the robot, the versions."""
+    """The origin of a result: the recording by name and digest, the robot, the versions."""
 
     recording: str
     sha256: str
@@ -197,9 +198,10 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
-    """The keys common to a fit and a validation: torque errors of all and of each joint, the
-    filters that they are told behind, settings, warnings. A file of an earlier version has no
-    `all_joints`, and none of the last four keys.
+    """The keys common to a fit and a validation: torque errors of all joints and of each, the
+    filters of these errors, settings, warnings.
+
+    A file of an earlier version has no `all_joints`, and none of the last four keys.
     """
 
     warnings: list[str] = msgspec.field(default_factory=list)
@@ -240,15 +242,15 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit, or of known values, with parameters only; earlier ones have no
-    verdict and no covariance.
+    """The JSON file of a fit, or of known values, with parameters only.
 
-    `left_out` are the base parameters that `--essential` leaves out; `consistent` and
-    `standard_parameters` are those of `--consistent`. The keys from `reason` on are those of
-    instrumental variables, up to those from `least_squares` on, which an earlier file has not:
-    least squares of a fit by instrumental variables, and its error where the passes have no fixed
-    point; the smallest eigenvalue of the statistic of Cragg and Donald with drive gains; rows
-    before those without weight; parameters whose interval is wider than the value.
+    Files of earlier versions have no verdict and no covariance. `left_out` are the base parameters
+    that `--essential` leaves out; `consistent` and `standard_parameters` are those of
+    `--consistent`. The keys from `reason` on are those of instrumental variables. An earlier file
+    lacks those from `least_squares` on: least squares of a fit by instrumental variables, and its
+    error if the iterations do not converge; the smallest eigenvalue of the Cragg–Donald statistic
+    with drive gains; rows before those without weight; parameters whose interval is wider than the
+    value.
     """
 
     parameters: list[Parameter]
@@ -297,7 +299,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
 
     @property
     def size(self) -> int:
-        """Number of parameters, those left out too."""
+        """Number of parameters, including those left out."""
         return len(self.parameters) + len(self.left_out or ())
 
     @property
@@ -307,7 +309,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
 
     @property
     def summary(self) -> str:
-        """What it is, in a line."""
+        """The kind of fit in a line."""
         error = self.moving_relative_error_percent  # in files of earlier versions too
         if not self.verdict or self.provenance is None:
             return f"{self.size} parameters"
@@ -323,8 +325,8 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         return f"FitFile({self.summary})"
 
     def warnings_of(self, place: str) -> list[str]:
-        """Warnings with the file `place`: a status without a fixed point,
-        physically impossible values.
+        """Return warnings with the file `place`: a status other than convergence, physically
+        impossible values.
         """
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
         texts = [f"its status is {self.status}"] * unsettled
@@ -333,8 +335,9 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
 
 
 class Ahead(msgspec.Struct, frozen=True, kw_only=True):
-    """By joint the rms error of the position that the direct model predicts from measured states,
-    open loop, and the rms way moved until then, rad or m.
+    """Errors of the positions that the direct model predicts open loop, by joint, rad or m.
+
+    These are the rms error from measured states, and the rms way moved until then.
     """
 
     error: list[float]
@@ -342,8 +345,8 @@ class Ahead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: errors of the file `fit`, and of its
-    consistent set, all joints last; and how far it predicts the motion `ahead`, by time in s.
+    """The JSON file of `validate`: errors of the file `fit`, and of its physically consistent set,
+    all joints last; and how far it predicts the motion `ahead`, by time in s.
     """
 
     fit: str
@@ -354,8 +357,9 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
 def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
-    Raises `BadInputError` where it cannot be read, or is not a fit of this
-    format; `place` is the file.
+    Raises
+    ------
+    BadInputError : the file cannot be read, or is not a fit of this format.
     """
     content, place = read_bytes(Path(path)), Location(str(path))
     try:

@@ -51,12 +51,12 @@ def gain_name(motor: str) -> str:
 
 
 def motor_of(gain: str) -> str:
-    """Return the motor of the drive whose gain has this name."""
+    """Return the motor whose drive gain has this name."""
     return gain.partition(":")[2]
 
 
 def recording_of(name: str) -> str:
-    """Return the recording that a base parameter is of alone; empty for a common one."""
+    """Return the recording of a per-recording base parameter; empty for a common one."""
     return name.partition("@")[2] if is_own(name) else ""
 
 
@@ -66,11 +66,11 @@ def payload_parameter(name: str) -> str:
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its deviation `sigma` by the
-    formula, 0 for an exact value.
+    """A parameter with its 95 % interval and its classical standard error `sigma`, 0 for an exact
+    value.
 
     `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier
-    version. `prior`: a-priori.
+    version. `prior`: its a priori value.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def half(self) -> float:
-        """Half the 95 % interval; without one, 1.96 of the larger deviation."""
+        """Half the 95 % interval; without one, 1.96 times the larger standard error."""
         if self.low is None or self.high is None:
             return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
         return 0.5 * (self.high - self.low)
@@ -100,25 +100,29 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def torque(self) -> float:
-        """The torque that it moves, in the weighted rows of the fit, as far as that is known."""
+        """The torque that the parameter causes in the weighted rows of the fit, as far as it is
+        known.
+        """
         return abs(self.value) * (self.column_norm or 0.0)
 
     @property
     def spread(self) -> float:
-        """The deviation by the interval: its half-width / 1.96."""
+        """The standard error by the interval: its half-width / 1.96."""
         return self.half / PER_INTERVAL
 
 
 class PhysicalWarning(msgspec.Struct, frozen=True):
-    """A physically impossible value of a fit, in files of every version; `severe` beyond chance."""
+    """A physically impossible value of a fit, in files of every version; `severe` if
+    significant.
+    """
 
     text: str
     severe: bool
 
 
 class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance (b, b) of the parameters `names`: deviations of the intervals,
-    correlations of the formula.
+    """Covariance (b, b) of the parameters `names`: standard errors of the intervals, correlations
+    of the formula.
     """
 
     names: list[str]
@@ -126,8 +130,8 @@ class Covariance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter that `--essential` leaves out, with its deviation by least
-    squares of all parameters.
+    """A base parameter that `--essential` leaves out, with its standard error by least squares of
+    all parameters.
     """
 
     name: str
@@ -135,8 +139,9 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in
-    half-widths of the fit.
+    """A parameter of the physically consistent set.
+
+    `from_prior`: it comes mostly from the prior. `move`: its change in half-widths of the fit.
     """
 
     name: str
@@ -148,9 +153,10 @@ class StandardParameter(msgspec.Struct, frozen=True):
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The consistent set: the prior, the distance from the estimate (chi², largest move in
-    half-widths), the torque error, and the Newton decrement. Files of earlier versions may have
-    another weight of the prior.
+    """The physically consistent set: the prior, the distance from the estimate (chi², largest
+    change in half-widths), the torque error, and the Newton decrement.
+
+    Files of earlier versions may have another weight of the prior.
     """
 
     prior: str
@@ -164,9 +170,9 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
-    """An identified gain of a drive, such as N m/A, with the half-width of its 95 % interval.
+    """An identified drive gain, such as N m/A, with the half-width of its 95 % interval.
 
-    `described`: that of the description, null without one; `determined`: known to better than 10 %.
+    `described`: that of the description, null without one. `determined`: known to better than 10 %.
     """
 
     motor: str
@@ -178,9 +184,10 @@ class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """The law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor, with half-widths
-    of 95 % intervals: in recorded effort per motor rad (or m); `clear` if this motor alone
-    determines the structure.
+    """The control law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor.
+
+    Half-widths are those of 95 % intervals, in recorded effort per motor rad (or m). `clear`: this
+    motor alone determines the structure.
     """
 
     motor: str
@@ -192,8 +199,8 @@ class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The control law of the recording: keys of `[controller]`, null if none is
-    found, for the `reason`.
+    """The control law of the recording: keys of `[controller]`, null if none is estimated, for the
+    `reason`.
     """
 
     structure: str
@@ -203,8 +210,10 @@ class LawFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """A payload as `stated`, also in words, its nearest body, and its share of the base parameters;
-    `recording`: the first with it. `given`: what of it is known, `mass` and `center`; a mass with
+    """A payload as given (`stated`), also in words, its nearest rigid body, and its share of the
+    base parameters.
+
+    `recording`: the first with it. `given`: what is known of it, `mass` and `center`; a mass with
     its half-width, null for an exact one.
     """
 

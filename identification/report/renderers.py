@@ -27,12 +27,12 @@ SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
 def print_whole(*items: Document | str, short: bool = False) -> None:
-    """Print reports and lines. No cell is truncated, and names are not interpreted as markup.
+    """Print reports and lines without truncating cells or interpreting names as markup.
 
     A table too wide for the terminal is compacted, with headings over several lines; if it is still
-    too wide, the terminal breaks its lines. A pipe or file gets whole lines. In `short`, what a
-    report hides without `--all` is left out, tables have no frames, and also a pipe or file gets
-    lines of reports broken between words; longer words stay whole.
+    too wide, the terminal breaks its lines. A pipe or file gets whole lines. In `short`, the parts
+    that a report hides without `--all` are left out, tables have no frames, and also a pipe or file
+    gets lines of reports broken between words; longer words stay whole.
     """
     console = Console(markup=False, emoji=False)
     width = _MAX_WIDTH if not short else console.width if console.is_terminal else SHORT_WIDTH
@@ -99,7 +99,7 @@ def _remove_frame(table: RichTable) -> None:
 
 
 def _compact(column: Column) -> None:
-    """Columns of numbers keep their width, with folded headings; texts are folded at words."""
+    """Fold headings of numbers, whose columns keep their width, and texts at words."""
     column.overflow = "fold"
     numbers, heading = column.justify == "right", str(column.header)
     cells = [str(cell) for cell in column.cells]
@@ -115,7 +115,7 @@ def _compact(column: Column) -> None:
 
 
 def to_markdown(document: Document) -> str:
-    """The report as Markdown, with its text escaped."""
+    """Return the report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
         warnings = (f"- **warning: {_plain(text)}**" for text in section.warnings)
@@ -145,13 +145,14 @@ def _markdown_table(table: Table) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text on one line, with Markdown characters escaped."""
+    """Return text on one line, with Markdown characters escaped."""
     return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))
 
 
 def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
-    """The report as HTML, with its text escaped; `figures` follow the first
-    sections that have no table.
+    """Return the report as HTML, with its text escaped.
+
+    `figures` follow the first sections that have no table.
     """
     # the tiles have the figures
     title = document.title.split("; ")[0] if document.badge else document.title
@@ -169,7 +170,9 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
 
 
 def _tiles(document: Document) -> list[str]:
-    """The badge and the figures of a report, styled here since a notebook has no style sheet."""
+    """Return the badge and the figures of a report, with styles of their own since a notebook has
+    no style sheet.
+    """
     if not document.badge:
         return []
     badge = (

@@ -31,8 +31,8 @@ MIN_PRIOR_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Known:
-    """An estimate beta (b,), its covariance C = D R D (b, b), and `reach`, deviations
-    in half a 95 % interval.
+    """An estimate beta (b,), its covariance C = D R D (b, b), and `reach`, the standard errors in
+    half a 95 % interval.
     """
 
     beta: Array
@@ -42,11 +42,19 @@ class Known:
 
 @one_thread
 def with_consistent(fit: Evidence, prior: Robot | None = None) -> Evidence:
-    """The fit with the nearest physically consistent parameters and their torque error; the
-    estimate stays the same.
+    """Return the fit with the nearest physically consistent parameters and their torque error.
 
-    `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a
-    drive gain is not known, the prior is of another robot, or no consistent parameters are found.
+    The estimate stays the same.
+
+    Parameters
+    ----------
+    fit : the fit.
+    prior : robot with the a priori links; None for the fitted description.
+
+    Raises
+    ------
+    BadInputError : a drive gain is not known, the prior is of another robot, or no physically
+        consistent parameters are found.
     """
     own = fit.recordings[0].names  # of own parameters those of one recording
     known = Known(
@@ -71,10 +79,21 @@ def consistent_set(
     prior: Robot | None = None,
     power: Array | None = None,
 ) -> tuple[ConsistentFile, tuple[StandardParameter, ...]]:
-    """The physically consistent base and standard parameters nearest to the `known` base
-    parameters of a robot, by the links of `prior`; None: of its own description. `power`: of
-    friction at recorded speeds, for further friction terms; None without such terms or known
-    speeds. Raises as `with_consistent`.
+    """Return the physically consistent base and standard parameters nearest to a robot's `known`
+    ones.
+
+    Parameters
+    ----------
+    model, base : the robot's model and its base parameters.
+    known : the estimate with its covariance.
+    prior : robot with the a priori links; None for its own description.
+    power : power of friction at recorded speeds, for further friction terms; None without such
+        terms
+        or known speeds.
+
+    Raises
+    ------
+    BadInputError : as in `with_consistent`.
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior is None else InverseModel(prior)
@@ -103,15 +122,15 @@ def consistent_set(
 def standard_parameters(
     names: Sequence[str], units: Sequence[str], values: Array, *columns: NDArray[Any]
 ) -> tuple[StandardParameter, ...]:
-    """Parameters by values (p,), half-widths, whether they are from the prior and, of base
-    parameters, moves.
+    """Return parameters from values (p,), half-widths, a mask of those from the prior and, for base
+    parameters, changes.
     """
     half, from_prior, *moves = (x.tolist() for x in columns)
     return tuple(map(StandardParameter, names, values.tolist(), units, from_prior, half, *moves))
 
 
 def _in_words(sources: tuple[str, ...]) -> str:
-    """`links 1, 2 by the URDF; link 3 by their lengths (guess)`."""
+    """Return the sources in words: `links 1, 2 by the URDF; link 3 by their lengths (guess)`."""
     words = {
         "[parameters]": "by [parameters]",
         "URDF": "by the URDF",

@@ -44,20 +44,23 @@ MAX_STEP_S = 0.001
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitOnRecording:
-    """A recording with the torque that a fit predicts, whether it was made from it or not.
+    """A recording with the torque that a fit predicts, whether it was fitted to it or not.
 
     Attributes:
-        problem: recording, settings and model; without samples if the recordings of a fit
-            are too long to be held.
-        names: (b,) of its base parameters in those of the fit; `carried`: (b,) the payload's share
-            of them; `beta`: (b,) their values, with that.
-        t_s: (rows,) instants of decimated rows, s, behind filters that depend on the motion only;
-            those of the fit are in `Evidence.data`.
-        tau, tau_predicted: (rows, n) torques there; `counts`: whether the joint moves, as in rows
-            of a fit.
+        problem: recording, settings and model; without samples if the recordings of a fit are too
+            long
+            to be held.
+        names: (b,) names of its base parameters in the fit.
+        carried: (b,) the payload's share of them.
+        beta: (b,) their values, with the payload.
+        t_s: (rows,) instants of decimated rows, s, after filters that depend on the motion only;
+            those
+            of the fit are in `Evidence.data`.
+        tau, tau_predicted: (rows, n) measured and predicted torques there, N m or N.
+        counts: (rows, n) True where the joint moves, as in rows of a fit.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
-        simulated: the robot simulated in it with the estimate; None without instruments.
-        ahead: how far the motion is predicted, as of `errors_ahead`.
+        simulated: the robot simulated with the estimate; None without instruments.
+        ahead: how far the motion is predicted, as in `errors_ahead`.
     """
 
     problem: Problem
@@ -73,17 +76,19 @@ class FitOnRecording:
     ahead: Array | None = None
 
     def values(self, estimate: Estimate) -> Array:
-        """(b,) base parameters with the payload by an estimate, zero where it has none."""
+        """Return the base parameters (b,) with the payload from an estimate, zero where it has
+        none.
+        """
         return estimate.values_of(self.names) + self.carried
 
     @property
     def errors(self) -> tuple[TorqueResidual, ...]:
-        """Its torque errors, one entry per joint and, last, all joints together."""
+        """Torque errors, one entry per joint and, last, all joints together."""
         return errors_on([self])
 
     @property
     def signals(self) -> Signals:
-        """The recording."""
+        """Signals of the recording."""
         return self.problem.signals
 
 
@@ -92,13 +97,16 @@ class Evidence:
     """Base parameters of a robot from one recording or several, with their tests.
 
     Attributes:
-        solution: what the method found, with its passes and their status.
-        data: rows, estimate, instruments, and whatever else its tests looked at.
-        recordings: in the order given.
-        errors: of the rows that count, one entry per joint and, last, all joints together.
-        own: the test of parameters of single recordings; None if all are shared.
-        gains: of the drives, if identified; `payloads`: the nearest bodies of positive density, in
-            the frame of the last joint; without one near what is stated, or a ball.
+        solution: the solution of the method, with its iterations and their status.
+        data: rows, estimate, instruments, and all other inputs of its tests.
+        recordings: the recordings in the order given.
+        errors: torque errors of the rows that count, one entry per joint and, last, all joints
+            together.
+        own: the test of per-recording parameters; None if all are shared.
+        gains: drive gains, if identified.
+        payloads: the nearest rigid bodies with positive mass density, in the frame of the last
+            joint;
+            None without one near the given values, or a ball.
         consistent_set, standard_parameters: the nearest physically consistent parameters, if
             requested.
     """
@@ -117,35 +125,37 @@ class Evidence:
 
     @property
     def method(self) -> Method:
-        """That of the solution."""
+        """Method of the solution."""
         return self.data.method
 
     @property
     def status(self) -> Status:
-        """Of the solution; `reason` says why it is not `converged`."""
+        """Status of the solution; `reason` says why it is not `converged`."""
         return self.solution.status
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Of the instrumental variable method, in order; none after least squares."""
+        """Iterations of the instrumental variable method, in order; none after least squares."""
         return self.solution.passes
 
     @cached_property
     def estimate(self) -> Estimate:
-        """Of the base parameters, fewer than `base` has if only the essential ones were asked for;
-        without those of gains and payloads.
+        """Estimate of the base parameters, without those of gains and payloads.
+
+        It has fewer than `base` if only the essential ones were requested.
         """
         return self._of_base(self.data.estimate, self.data.estimate.names)
 
     @cached_property
     def intervals(self) -> Intervals:
-        """Of the estimate."""
+        """Intervals of the estimate."""
         return self._of_base(self.data.intervals, self.data.estimate.names)
 
     @cached_property
     def least_squares(self) -> Pass:
-        """The fit itself or, of `iv`, weighted least squares of the same recordings and settings:
-        its base parameters.
+        """Weighted least squares of the same recordings and settings: its base parameters.
+
+        A fit by least squares returns itself.
         """
         found, names = self.solution.least_squares, self.solution.least_squares.estimate.names
         return replace(
@@ -155,12 +165,12 @@ class Evidence:
         )
 
     def _of_base(self, found: Found, names: Sequence[str]) -> Found:
-        """The part of the base parameters, of those `names`."""
+        """Return the part of the base parameters with these names."""
         return found.part(base_places(names)) if self.gains or self.payloads else found
 
     @cached_property
     def essential(self) -> FTest:
-        """The essential base parameters by least squares, and the test of leaving out others."""
+        """Essential base parameters by least squares, and the test of leaving out the others."""
         found = self.solution.essential
         return msgspec.structs.replace(found, names=tuple(filter(is_base, found.names)))
 
@@ -173,8 +183,10 @@ class Evidence:
 
     @property
     def controller(self) -> ControllerKind | None:
-        """Of several recordings the last of these kinds that one of them has; None after least
-        squares.
+        """Kind of the simulated controller; of several recordings the last of these kinds that
+        occurs.
+
+        It is None after least squares.
         """
         return max(
             (one.simulated.controller for one in self.recordings if one.simulated),
@@ -184,39 +196,39 @@ class Evidence:
 
     @property
     def saturated_percent(self) -> float | None:
-        """Share of recorded samples at a drive's limit; None if no limit is stated."""
+        """Share of recorded samples at a drive's limit, percent; None if no limit is given."""
         return largest(
             [max(one.saturated.values(), default=None) for one in self.solution.simulated]
         )
 
     @property
     def t_s(self) -> Array:
-        """(rows,) instants of the rows of all recordings, in their order, s."""
+        """Instants of the rows of all recordings, in their order, s, (rows,)."""
         return np.concatenate([one.t_s for one in self.recordings])
 
     @property
     def tau(self) -> Array:
-        """(rows, n) torques there, as measured."""
+        """Measured torques of the rows, (rows, n)."""
         return np.concatenate([one.tau for one in self.recordings])
 
     @property
     def tau_predicted(self) -> Array:
-        """(rows, n) torques there, as the fit predicts them."""
+        """Predicted torques of the rows, (rows, n)."""
         return np.concatenate([one.tau_predicted for one in self.recordings])
 
     @property
     def counts(self) -> Bools:
-        """(rows, n) whether the joint moves there, as in rows of a fit."""
+        """Mask of the rows in which the joint moves, as in rows of a fit, (rows, n)."""
         return np.concatenate([one.counts for one in self.recordings])
 
     @property
     def problem(self) -> Problem:
-        """That of the first recording; all have the same robot, model and base parameters."""
+        """Problem of the first recording; all have the same robot, model and base parameters."""
         return self.recordings[0].problem
 
     @property
     def law(self) -> FoundLaw | None:
-        """The control law that the first recording shows."""
+        """Control law that the first recording shows."""
         return self.solution.model.laws[self.solution.model.order[0]]
 
     @property
@@ -231,7 +243,7 @@ class Evidence:
 
     @property
     def essential_names(self) -> tuple[str, ...]:
-        """The essential parameters whose 95 % interval is narrower than their value."""
+        """Essential parameters whose 95 % interval is narrower than their value."""
         return self.data.essential
 
     @cached_property
@@ -241,13 +253,15 @@ class Evidence:
 
     @property
     def beta(self) -> Array:
-        """(b,) values of all base parameters, of the first recording; zero if left out."""
+        """Values of all base parameters of the first recording, zero if left out, (b,)."""
         return self.estimate.values_of(self.recordings[0].names)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is no fault: torque demands sampled at one phase of the control, an error of
-        inertias that is no lag.
+        """Remarks that do not affect the verdict.
+
+        Examples are torque demand values sampled at a fixed phase of the control period, or an
+        error of inertias that is not a delay.
         """
         texts = (
             ripple_notes(s.robot.bus, s.robot.controller.bandwidth_hz)
@@ -258,12 +272,17 @@ class Evidence:
 
     @property
     def reference(self) -> Literal["recorded", "surrogate"]:
-        """`surrogate`: the measured position, with which instruments are not strictly exogenous."""
+        """Kind of the reference; `surrogate` is the measured position.
+
+        With the measured position, instruments are not strictly exogenous.
+        """
         return "recorded" if self.solution.model.exogenous else "surrogate"
 
     @property
     def contrast(self) -> tuple[float, str]:
-        """Largest difference of least squares from the estimate, in half-widths; its parameter."""
+        """Largest difference between least squares and the estimate, in half-widths, and its
+        parameter.
+        """
         estimate, full = self.data.estimate, self.data.least_squares
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.abs(full.values_of(estimate.names) - estimate.beta) / self.data.intervals.half
@@ -272,12 +291,12 @@ class Evidence:
 
     @property
     def held_out_error_percent(self) -> float | None:
-        """Torque error of blocks of time predicted by the others."""
+        """Torque error of time blocks predicted by the others, percent."""
         return self.trust.line("held-out blocks").value
 
 
 def validated(problem: Problem, beta: Array) -> FitOnRecording:
-    """The torque of base parameters (b,), with the payload, on a recording."""
+    """Return the torque of base parameters (b,), with the payload, on a recording."""
     tau, (predicted,), counts, _, t_s, _ = torque_of_recording(
         *equation_alone(problem), [beta], judged=True
     )
@@ -294,7 +313,7 @@ def validated(problem: Problem, beta: Array) -> FitOnRecording:
 
 
 def errors_on(recordings: Sequence[FitOnRecording]) -> tuple[TorqueResidual, ...]:
-    """Torque errors of recordings together: one per joint and, last, that of all joints."""
+    """Return the torque errors of all recordings together: one per joint and, last, all joints."""
     rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
     tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
     robot = recordings[0].signals.robot
@@ -303,16 +322,20 @@ def errors_on(recordings: Sequence[FitOnRecording]) -> tuple[TorqueResidual, ...
 
 
 def first_ahead(recordings: Sequence[FitOnRecording]) -> Array | None:
-    """How far the motion is predicted ahead, in the first of the recordings that shows it."""
+    """Return how far the motion is predicted ahead in the first recording that shows it."""
     return next((one.ahead for one in recordings if one.ahead is not None), None)
 
 
 def errors_ahead(problem: Problem, beta: Array) -> Array | None:
-    """Predict the positions of a recording by base parameters (b,) and its recorded torque.
+    """Predict the positions of a recording from base parameters (b,) and its recorded torque.
 
-    Returns (2, h, n) the rms over the starts of the error after each of `HORIZONS_S`, and of the
-    way moved until then, rad or m; None where the recording is too short, M is not positive, or the
-    motion grows beyond bounds.
+    Returns
+    -------
+    (2, h, n) : the rms over the starts of the error after each of `HORIZONS_S`, and of the way
+    moved
+        until then, rad or m; None if the recording is too short, M is not positive, or the motion
+        grows
+        without bounds.
     """
     s, fs = problem.settings, problem.signals.sample_rate_hz
     ahead = [max(1, round(x * fs)) for x in HORIZONS_S]

@@ -20,7 +20,9 @@ from .parameters import fitted_parameters
 
 
 def fit_file(fit: Evidence) -> report.FitFile:
-    """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
+    """Make the JSON file of a fit; a number that does not exist (without rows at standstill, say)
+    is null.
+    """
     robot = fit.problem.signals.robot
     return report.FitFile(
         **on_recordings(fit.recordings, fit.errors, fit.warnings),
@@ -46,7 +48,7 @@ def fit_file(fit: Evidence) -> report.FitFile:
 
 
 def _trust_keys(fit: Evidence) -> dict[str, Any]:
-    """The keys of the tests, and of what they looked at."""
+    """Return the keys of the tests, and of their inputs."""
     lines, signals = fit.trust.lines, fit.problem.signals
     by_ls = [
         validated(one.problem, one.values(fit.least_squares.estimate))
@@ -91,7 +93,7 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
 
 
 def _estimate_keys(fit: Evidence) -> dict[str, Any]:
-    """The keys of the parameters, and of the rows that they are from."""
+    """Return the keys of the parameters, and of the rows that they are estimated from."""
     e, full = fit.estimate, fit.full
     return {
         "parameters": list(fitted_parameters(fit).parameters.values()),
@@ -145,7 +147,7 @@ def validation_file(
     warnings: tuple[str, ...],
     consistent: tuple[report.TorqueResidual, ...] = (),
 ) -> report.ValidationFile:
-    """The JSON file of a validation; arguments as of `validation_document`."""
+    """Make the JSON file of a validation; arguments as in `validation_document`."""
     ahead = first_ahead(recordings)
     return report.ValidationFile(
         **on_recordings(recordings, errors, warnings),
@@ -178,7 +180,7 @@ def _recording(one: FitOnRecording) -> report.RecordingOfFit:
 
 
 def _iv_keys(fit: Evidence) -> dict[str, Any]:
-    """The keys of the instrumental variable method."""
+    """Return the keys of the instrumental variable method."""
     return {
         "rows_used_percent": float(100 * fit.data.observed.counts.mean()),
         "reason": fit.solution.reason,
@@ -218,8 +220,10 @@ def on_recordings(
     errors: tuple[report.TorqueResidual, ...],
     warnings: tuple[str, ...],
 ) -> dict[str, Any]:
-    """The keys of `report.OnRecording`: the first recording with its settings, each if there are
-    several, and torque errors, which are told behind filters of their own.
+    """Return the keys of `report.OnRecording`.
+
+    These are the first recording with its settings, each recording if there are several, and torque
+    errors, which have filters of their own.
     """
     (*joints, whole), problem = errors, recordings[0].problem
     return with_settings(problem.signals, problem.settings) | {
@@ -236,7 +240,7 @@ def on_recordings(
 
 
 def with_settings(signals: Signals, settings: Settings | None) -> dict[str, Any]:
-    """The keys of a recording, and of its settings if there are any."""
+    """Return the keys of a recording, and of its settings if there are any."""
     fs = signals.sample_rate_hz
     keys = {
         "provenance": report.Provenance(
@@ -270,7 +274,7 @@ def with_settings(signals: Signals, settings: Settings | None) -> dict[str, Any]
 
 
 def _inputs(signals: Signals) -> list[str]:
-    """Known torque and feed-forward, and their use."""
+    """Return external torque and feedforward, and how they are used."""
     robot = signals.robot
     given = (
         (
@@ -293,7 +297,7 @@ def _inputs(signals: Signals) -> list[str]:
 
 
 def remarks(signals: Signals) -> list[str]:
-    """The final counters of the recorder, and the payload, if any."""
+    """Return the final counters of the recorder, and the payload, if any."""
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     payload, recording, joint = signals.payload, signals.recording, signals.robot.joints[-1].name

@@ -28,7 +28,7 @@ PARAMETERS = "parameters"  # title of the section of all values
 
 
 def fit_document(fit: FitFile) -> Document:
-    """The file of a fit as a report, the verdict first."""
+    """Make the report of a fit's file, the verdict first."""
     finding = Trust(lines=tuple(fit.trust)).finding if fit.trust else ""
     held, several = known(fit.held_out_error_percent), fit.recordings or ()
     percents = shared.half_width_percents(fit.parameters)
@@ -67,7 +67,9 @@ def fit_document(fit: FitFile) -> Document:
 def first_line(
     fit: FitFile, finding: str, held: float | None, percents: Mapping[str, float]
 ) -> str:
-    """Method and its reason, status, verdict with its worst finding, and the main figures."""
+    """Return the first line: method, status, verdict with its worst finding, and the main
+    figures.
+    """
     verdict = ": ".join(text for text in (fit.verdict, finding) if text)
     figures = shared.headline(fit.errors) + ("" if held is None else f", {held:.2g} % held out")
     # the status alone has no reason where instruments are those of a simulated robot
@@ -79,7 +81,7 @@ def first_line(
 
 
 def _determined(percents: Mapping[str, float], of: int) -> str:
-    """How many parameters the recordings determine, and how closely."""
+    """Return how many parameters are well determined, and how closely."""
     text = f"{len(percents)} of {of} parameters determined"
     if not percents:
         return text
@@ -117,7 +119,7 @@ def _verdict_section(fit: FitFile) -> Section:
 
 
 def _trust_section(fit: FitFile) -> Section:
-    """Every test of the fit, worst first; in short those that found something."""
+    """Make the section of all tests, worst first; the short form has those with a finding."""
     tests = fit.trust or []
     lines = tuple(
         f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in tests
@@ -199,7 +201,7 @@ def _parameters(fit: FitFile) -> Section:
 
 
 def _consistent(fit: FitFile) -> list[Section]:
-    """The physically consistent parameters and their moves from the estimate."""
+    """Make the section of physically consistent parameters and their changes from the estimate."""
     if not (c := fit.consistent):
         return []
     standard, line = fit.standard_parameters or [], fit.line_of.get("consistent")
@@ -261,7 +263,7 @@ def _number(value: float | UnsetType | None, form: str) -> str:
 
 
 def _rows_line(fit: FitFile) -> str:
-    """The number of rows by their weights, and what weighs nothing."""
+    """Return a line on the number of rows by their weights, and on what has zero weight."""
     percent = (fit.low_speed_percent or {}).get("iv" if fit.method == "iv" else "ls")
     slow = (
         "4 % of the peak speed (1 % with root, load or Stribeck terms), or 4 deviations of its "
@@ -278,7 +280,7 @@ def _rows_line(fit: FitFile) -> str:
 
 
 def _iv_sections(fit: FitFile) -> list[Section]:
-    """The passes of the instrumental variable method, and the errors of the direct model."""
+    """Make the sections of the iterations, and of the errors of the direct model."""
     direct = tuple(
         (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
         for d in fit.direct_model or ()
@@ -312,7 +314,7 @@ def _iv_sections(fit: FitFile) -> list[Section]:
 
 
 def _iv_lines(fit: FitFile) -> tuple[str, ...]:
-    """Tests of the instruments, and why a pass could not be simulated."""
+    """Return lines on the tests of the instruments, and why an iteration could not be simulated."""
     tests = fit.instrument_tests or {}
     return (
         *(
@@ -330,7 +332,7 @@ def _iv_lines(fit: FitFile) -> tuple[str, ...]:
 
 
 def _expressions(fit: FitFile) -> list[Section]:
-    """The regrouped parameters as sums of standard parameters."""
+    """Make the section of regrouped parameters as sums of standard parameters."""
     lines = tuple(
         f"{p.name} = {p.expression}"
         for p in fit.parameters

@@ -56,9 +56,9 @@ def identify(
 ) -> Evidence:
     """Identify base parameters, and judge the fit by its tests.
 
-    Parameters and errors as of `methods.solve`. The status of least squares is `solved`; that of
-    `iv` is `converged` only if two passes agree and the robot simulated with the estimate follows
-    the recording, or if instruments of the reference alone suffice.
+    Parameters and errors are those of `methods.solve`. The status of least squares is `solved`;
+    that of `iv` is `converged` only if two iterations agree and the robot simulated with the
+    estimate follows the recording, or if instruments of the reference alone suffice.
     """
     solution = solve(
         signals, overrides, method=method, iteration=iteration, essential=essential, say=say
@@ -130,8 +130,8 @@ def identify_iv(
 
 
 def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
-    """F test, by least squares, of the recordings' own parameters against shared ones;
-    None if there are none.
+    """Test per-recording parameters against shared ones: an F test by least squares; None without
+    any.
     """
     if not (own := tuple(filter(is_own, model.unknowns.names))):
         return None
@@ -147,7 +147,7 @@ def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
 
 
 def _warnings(model: Model) -> tuple[str, ...]:
-    """Warnings of the settings and the recordings; several recordings may share one."""
+    """Return warnings of the settings and the recordings; several recordings may share one."""
     problems = [model.problems[k] for k in model.order]
     of_settings = [
         text
@@ -168,7 +168,9 @@ def _warnings(model: Model) -> tuple[str, ...]:
 
 
 def _short_moves(problem: Problem) -> list[str]:
-    """Joints whose weights have shorter ramps than those of the settings, or none."""
+    """Return a warning on joints whose weight taper is shorter than that of the settings, or
+    none.
+    """
     if not len(problem.signals.q):
         return []
     robot, asked = problem.signals.robot, problem.settings.ramp_rows
@@ -214,7 +216,7 @@ def _iv_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """A warning of the units if the drive gains are not given."""
+    """Return a warning on units if the drive gains are not given."""
     robot = signals.robot
     if robot.gain_known:
         return ()
@@ -229,11 +231,11 @@ def _gain_warnings(signals: Signals) -> tuple[str, ...]:
 
 
 def smallest_cragg_donald(data: TrustInputs) -> float:
-    """Smallest eigenvalue of the Cragg-Donald statistic of (E, Ê) projected off W
-    and L, per instrument.
+    """Return the smallest eigenvalue of the Cragg–Donald statistic, per instrument.
 
-    Cragg, Donald, Testing identifiability and specification in instrumental variable models,
-    Econometric Theory 9 (1993). First-stage F of a gain is blind: W explains the current.
+    It is that of (E, Ê) projected off W and L: Cragg, Donald, Testing identifiability and
+    specification in instrumental variable models, Econometric Theory 9 (1993). The first-stage F of
+    a gain cannot detect weak instruments, because W explains the current.
     """
     system, Z, w = data.observed.system, data.observed.Z, data.weight[:, None]
     gains = [system.names.index(name) for name in data.gains]
@@ -250,7 +252,7 @@ def smallest_cragg_donald(data: TrustInputs) -> float:
 
 
 def gains_of(model: Model, data: TrustInputs) -> tuple[DriveGain, ...]:
-    """The drive gains that were identified, in the order of their motors."""
+    """Return the drive gains that were identified, in the order of their motors."""
     of, robot = model.unknowns, data.problems[0].signals.robot
     motors, places = [*of.motors], [data.estimate.names.index(name) for name in of.names[of.gains]]
     values = (robot.gain[motors] * data.estimate.beta[places]).tolist()
@@ -269,8 +271,9 @@ def gains_of(model: Model, data: TrustInputs) -> tuple[DriveGain, ...]:
 
 
 def payloads_of(model: Model, data: TrustInputs) -> tuple[tuple[PayloadOfFit, ...], list[str]]:
-    """The payloads as the nearest bodies of positive density, and warnings of those that are near
-    none.
+    """Return the payloads as the nearest rigid bodies with positive mass density.
+
+    Payloads that are near none give warnings.
     """
     estimate, found, problem = data.estimate, data.intervals, data.problems[0]
     payloads, far = list[PayloadOfFit](), list[str]()

@@ -33,8 +33,9 @@ from .evidence import Evidence, FitOnRecording, errors_ahead, errors_on, validat
 
 
 def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
-    """The parameters that a fit estimated, labelled by its method: IV, LS or OLS; or those that
-    least squares of the same recording estimated, labelled LS.
+    """Return the parameters that a fit estimated, labelled by its method: IV, LS or OLS.
+
+    `by_ls`: those that least squares of the same recording estimated, labelled LS.
     """
     of = fit.least_squares if by_ls else fit
     e, intervals = of.estimate, of.intervals
@@ -65,16 +66,20 @@ def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
 
 
 def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
-    """The robot with a URDF (its text) as the only source of link parameters;
-    joints are matched by name.
+    """Return the robot with a URDF (its text) as the only source of link parameters.
+
+    Joints are matched by name.
     """
     joints = tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints)
     return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
 
 
 def read_prior(path: Path, robot: Robot) -> Robot:
-    """The fitted `robot` as another robot.toml or URDF, `path`, describes it, by its name; refuses
-    one that cannot be read.
+    """Read the a priori links of the fitted `robot` from another robot.toml or URDF, by its name.
+
+    Raises
+    ------
+    BadInputError : the file cannot be read, or describes another robot.
     """
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
@@ -82,11 +87,13 @@ def read_prior(path: Path, robot: Robot) -> Robot:
 
 
 def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
-    """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters
-    of a stored fit, `place`.
+    """Return the a priori links of a robot.toml or URDF as known base parameters of a stored fit.
 
-    Raises `BadInputError`: the fit is in A or V or without description; a file of another
-        robot, or without inertials.
+    Raises
+    ------
+    BadInputError : the fit is in A or V or without description; the file is of another robot, or
+        has
+        no inertials.
     """
     refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
@@ -99,8 +106,9 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
 
 
 def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
-    """Known values `true` (b,) of the base parameters, SI, labelled `true`;
-    their deviations are 0.
+    """Return known values `true` (b,) of the base parameters, SI, labelled `true`.
+
+    Their standard errors are 0.
     """
     return ParameterSet(
         label="true",
@@ -116,11 +124,10 @@ def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
 def stored_settings(
     stored: FitFile, signals: Signals, given: Overrides
 ) -> tuple[Overrides, list[str]]:
-    """The settings of a stored fit for another recording, those `given` first, and warnings;
-    known values have none.
+    """Return the settings of a stored fit for another recording, and warnings.
 
-    The lag of the fit is used if timing, effort objects and rate are equal, else what is known
-    of the recording's own.
+    Settings in `given` come first; known values have no settings. The delay of the fit is used if
+    timing, effort objects and rate are equal, otherwise that known of the recording itself.
     """
     if stored.sample_rate_hz is None:
         return given, []
@@ -161,8 +168,9 @@ def stored_settings(
 
 
 def refuse_unknown_gain(robot: Robot) -> None:
-    """Refuse a fit in A or V: joints have unknown gains of their own, and a link's
-    parameters would mix them.
+    """Refuse a fit in A or V.
+
+    Its joints have unknown gains of their own, and a link's parameters would mix them.
     """
     for k, motor in enumerate(robot.motors):
         Location(f"robot {robot.name}").require(
@@ -175,14 +183,14 @@ def refuse_unknown_gain(robot: Robot) -> None:
 
 
 def stored_robot(stored: FitFile, place: str) -> Robot:
-    """The robot by the description in a fit's file, `place`; a file without one is refused."""
+    """Return the robot of the description in a fit's file; refuse a file without one."""
     Location(place).require(stored.description, "description", None, "a fit with its robot.toml")
     files = {name: text.encode() for name, text in stored.description.items()}
     return with_stored_gains(stored, robot_from_files(files, place))
 
 
 def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
-    """The robot with the drive gains that a fit identified."""
+    """Return the robot with the drive gains that a fit identified."""
     if stored.gains is UNSET:
         return robot
     found = {one.motor: one.value for one in stored.gains}
@@ -193,8 +201,8 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
-    """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of
-    three arrays (rows, n).
+    """Return the torque IDM(q, dq, ddq) beta, (rows, n), of a stored fit along a motion of three
+    arrays (rows, n).
     """
     arrays = [np.asarray(x, dtype=np.float64) for x in motion]
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
@@ -209,8 +217,8 @@ def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
-    """Parameters that `base` lacks, or has in another unit or for another sum
-    of standard parameters.
+    """Return parameters that `base` lacks, or has in another unit or for another sum of standard
+    parameters.
     """
     known = true_parameters(base, np.zeros(base.b)).parameters
     return [
@@ -223,8 +231,9 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
 
 
 def terms_without_fit(stored: FitFile, base: BaseParameters, place: str) -> list[str]:
-    """A line on the parameters of `base` that a fit, `place`, neither has nor left out as not
-    essential, so that they count as zero.
+    """Return a line on the parameters of `base` that count as zero.
+
+    These are the ones that the fit neither has nor left out as not essential.
     """
     known = {base_name(p.name) for p in (*stored.parameters, *(stored.left_out or ()))}
     more = ", ".join(name for name in base.names if name not in known)
@@ -232,7 +241,9 @@ def terms_without_fit(stored: FitFile, base: BaseParameters, place: str) -> list
 
 
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
-    """The same with the values of its consistent set; a file, `place`, without one is refused."""
+    """Return the fit with the values of its physically consistent set; refuse a file without
+    one.
+    """
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
         Location(place).refuse("standard_parameters", None, "`fit --consistent`")
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
@@ -241,8 +252,10 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """(b,) values in the order of `base`, zero if left out, means of own parameters; refuses
-    a fit of another robot.
+    """Return the values (b,) in the order of `base`, zero if left out; refuse a fit of another
+    robot.
+
+    Per-recording parameters are averaged.
     """
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
@@ -266,8 +279,9 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
 
 
 def payload_beta(stored: FitFile, problem: Problem) -> Array:
-    """(b,) base parameters of a recording's payload: as the fit found it, if it is stated
-    alike there; else a ball's.
+    """Return the base parameters (b,) of a recording's payload.
+
+    They are those that the fit estimated if it has the same payload; otherwise those of a ball.
     """
     payload, model, base = problem.signals.payload, problem.model, problem.base
     if payload is None:
@@ -281,8 +295,7 @@ def payload_beta(stored: FitFile, problem: Problem) -> Array:
 def signals_as_fitted(
     signals: Signals, recording: Path, stored: FitFile, place: str, *, chosen: bool
 ) -> tuple[Signals, list[str]]:
-    """The signals of a recording, and warnings; with the fit's description if the
-    recording's has other parameters.
+    """Return the signals of a recording with the fit's description if the two differ, and warnings.
 
     `chosen`: the user gave the description. `place` names the fit in the warnings.
     """
@@ -311,11 +324,11 @@ def validate_all(
     *,
     ahead: bool = True,
 ) -> tuple[tuple[FitOnRecording, ...], tuple[TorqueResidual, ...]]:
-    """The torque of a stored fit on recordings of one robot, each with what replaces its settings,
-    and the errors of all together, as `errors_on`; nothing is fitted.
+    """Return the torque of a stored fit on recordings of one robot, and the errors of all together.
 
-    Payloads are as the fit found them; `place` names it in errors; `ahead`: whether the motion is
-    predicted too.
+    Nothing is fitted. Each recording comes with what replaces its settings; the errors are those of
+    `errors_on`. Payloads are those that the fit estimated; `place` names it in errors. `ahead`:
+    predict the motion too.
     """
     check_one_robot([signals for signals, _ in recordings])
     problems = with_common_band([make_problem(*one) for one in recordings])
@@ -336,9 +349,10 @@ def predict_recordings(
     chosen: bool = False,
     ahead: bool = True,
 ) -> tuple[tuple[FitOnRecording, ...], tuple[TorqueResidual, ...], tuple[str, ...]]:
-    """The torque of a stored fit on recordings, read from their paths, as of `validate_all`; and
-    warnings of their settings, of what differs from the fit, and of the fit itself.
+    """Return the torque of a stored fit on recordings read from their paths, as `validate_all`
+    does.
 
+    Warnings of their settings, of differences from the fit, and of the fit itself are returned too.
     `overrides` replace the settings of the fit; `chosen`: the user gave the description.
     """
     each, notes = list[tuple[Signals, Overrides]](), list[str]()

@@ -34,7 +34,7 @@ from .fit_files import with_settings
 def recording_document(
     signals: Signals, settings: Settings | None, refusal: str | None
 ) -> Document:
-    """The report of a recording without a fit."""
+    """Make the report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     told = OnRecording(**with_settings(signals, settings))
     lines = (
@@ -76,7 +76,7 @@ def validation_document(
     warnings: tuple[str, ...],
     consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
-    """The torque errors of a fit on recordings that it was not made from."""
+    """Make the report on the torque errors of a fit on recordings that it was not fitted to."""
     names = [one.signals.recording for one in recordings]
     told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
     table = Table(
@@ -122,7 +122,7 @@ def validation_document(
 
 
 def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
-    """Errors of the positions that the direct model predicts, by joint, as of `first_ahead`."""
+    """Make the section of errors of the positions that the direct model predicts, by joint."""
     if (found := first_ahead(recordings)) is None:
         return []
     joints, (error, way) = recordings[0].signals.robot.joints, found
@@ -145,8 +145,8 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
 
 
 def recordings_section(fit: FitFile) -> Section:
-    """Errors of a fit on each of its recordings, held-out errors, and the
-    test of own parameters.
+    """Make the section of errors by recording, held-out errors, and the test of per-recording
+    parameters.
     """
     each = fit.recordings or []
     rows: tuple[Row, ...] = tuple(
@@ -194,12 +194,12 @@ def recordings_section(fit: FitFile) -> Section:
 
 
 def headline(errors: tuple[TorqueResidual, ...]) -> str:
-    """The main figure of a report."""
+    """Return the main figure of a report."""
     return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} % torque error"
 
 
 def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> str:
-    """The relative torque error of all joints together, in what rows, behind what low-pass."""
+    """Return the relative torque error of all joints together, with its rows and low-pass."""
     e = errors[-1]
     return (
         f"relative {headline(errors)} in the {e.moving_rows} of "
@@ -210,7 +210,7 @@ def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> s
 
 
 def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
-    """The half-width in percent of each essential parameter."""
+    """Return the half-width in percent of each essential parameter."""
     return {p.name: p.half_percent for p in parameters if p.essential}
 
 
@@ -220,8 +220,8 @@ def main_figures(
     more: Mapping[str, float | None],
     percents: Mapping[str, float],
 ) -> tuple[tuple[str, str], ...]:
-    """The figures to read first, by what they are: torque errors, and half-widths of essential
-    parameters (`percents`).
+    """Return the figures to read first: torque errors, and half-widths of essential parameters
+    (`percents`).
     """
     errors = {"torque error": error, "held out": held_out, **more}
     shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
@@ -237,7 +237,7 @@ def main_figures(
 
 
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
-    """Relative torque errors by joint; all joints together last."""
+    """Make the section of relative torque errors by joint; all joints together come last."""
     each = [f"{e.name} {Number(e.relative_error_percent, '.2g').text} %" for e in errors[:-1]]
     numbers = ("torque error", "rows moving", "rows standing", "residual lag-1")
     rows = tuple(
@@ -262,7 +262,7 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
 
 
 def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
-    """The settings in words; `used` is what is done with the span."""
+    """Return the settings in words; `used` says what is done with the time range."""
     fs, (start, stop) = of.sample_rate_hz or 1.0, of.samples or (0, 0)
     cutoff = (
         "no low-pass"
@@ -285,7 +285,7 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
 
 
 def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
-    """The final counters of the recorder and the payload, if any, and the digest of the file."""
+    """Return the final counters of the recorder, the payload if any, and the digest of the file."""
     source = of if isinstance(of, RecordingOfFit) else of.provenance
     digest = "" if source is None else f"{source.recording} has sha256 {source.sha256}"
     return (*of.remarks, digest)
@@ -296,8 +296,10 @@ def _ends(x: Array) -> tuple[Number, Number]:
 
 
 def gain_sections(fit: FitFile) -> list[Section]:
-    """Identified drive gains beside those of the description, and how well they are told apart from
-    the arm: the smallest eigenvalue of the statistic of Cragg and Donald.
+    """Make the section of identified drive gains beside those given in the description.
+
+    It includes how well they are separated from the arm: the smallest eigenvalue of the
+    Cragg–Donald statistic.
     """
     if not fit.gains:
         return []
@@ -331,7 +333,7 @@ def gain_sections(fit: FitFile) -> list[Section]:
 
 
 def payload_sections(fit: FitFile) -> list[Section]:
-    """The payloads as the nearest bodies of positive density."""
+    """Make the section of payloads as the nearest rigid bodies with positive mass density."""
     return [_payload_section(one, fit.joints[-1].name) for one in fit.payloads or ()]
 
 

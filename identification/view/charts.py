@@ -38,8 +38,8 @@ LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE,
 
 
 def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
-    """Every parameter: its 95 % interval in percent of the value, and other sets, in
-    half-widths of this interval.
+    """Chart every parameter: its 95 % interval in percent of the value, and other sets in half-
+    widths of this interval.
     """
     legend = [
         ("● essential", ORANGE),
@@ -66,7 +66,7 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
 
 
 def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
-    """Half-widths of the parameters in percent of their values."""
+    """Return the half-widths of the parameters in percent of their values."""
     return Column(
         head="± 95 %, % of value",
         axis=logarithmic(0.01, 100.0, 4),
@@ -85,7 +85,7 @@ def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
 def _difference_column(
     own: ParameterSet, others: Sequence[ParameterSet], names: Sequence[str]
 ) -> Column:
-    """Other sets minus the own parameters, in half-widths of the own intervals."""
+    """Return other sets minus the own parameters, in half-widths of the own intervals."""
     marks, ends = list[Mark](), MAX_HALF_WIDTHS_SHOWN
     far = [
         {d.name for d in differences(own, x) if abs(d.off_sigma or 0.0) > MAX_TRUSTED_SIGMAS}
@@ -120,7 +120,7 @@ def _difference_column(
 
 
 def _parts(names: Sequence[str], most: int) -> list[Sequence[str]]:
-    """Names in pieces of like lengths of at most `most`."""
+    """Divide names into pieces of similar length of at most `most`."""
     size = -(-len(names) // -(-len(names) // most))
     return [names[k : k + size] for k in range(0, len(names), size)]
 
@@ -130,7 +130,7 @@ def _look(known: bool) -> tuple[Color, Shape]:
 
 
 def trust_charts(tests: Sequence[TrustResult]) -> list[Rows]:
-    """Figures of the tests by joint or block, with expected values."""
+    """Chart the figures of the tests by joint or block, with expected values."""
     return [_trust_chart(line) for line in tests if line.figures]
 
 
@@ -167,8 +167,8 @@ def _around(marks: Sequence[Mark]) -> Axis:
 
 
 def interval_charts(excitation: Excitation) -> list[Rows]:
-    """Expected half-width of every parameter's 95 % interval; in grey that
-    of the plain reference.
+    """Chart the expected half-width of every parameter's 95 % interval, in grey that of the plain
+    reference.
     """
     pairs = np.stack([excitation.half, excitation.plain_half], axis=1).tolist()
     axis, halves = decades(pairs, 5), dict(zip(excitation.base.names, pairs, strict=True))
@@ -196,8 +196,9 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
 
 
 def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
-    """The essential parameters in all variants by both methods with 95 % intervals; lines at
-    that of IV by the rules.
+    """Chart the essential parameters in all variants by both methods with 95 % intervals.
+
+    Lines mark the values of IV by the rules.
     """
     return [
         Rows(
@@ -235,8 +236,9 @@ def _sensitivity_column(fits: Sequence[VariedFit], name: str) -> Column:
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
-    """The parameter that noise moves most with LS, over this noise, by both methods, and its known
-    value, if there is noise.
+    """Chart the parameter that noise changes most with LS, over this noise, by both methods.
+
+    Its known value is shown; there is no chart without noise.
     """
     noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
     if len(noisy) < 2:
@@ -278,8 +280,8 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
 
 
 def study_chart(runs: Sequence[Run]) -> Rows:
-    """Errors of all runs by method, with medians of least squares and of instrumental
-    variables that converged.
+    """Chart errors of all runs by method, with medians of least squares and of converged
+    instrumental variables.
     """
     names, marks, step = list[tuple[str, Color]](), list[Mark](), (STUDY_ROWS - 0.4) / len(runs)
     for top, name in ((0, "LS"), (STUDY_ROWS, "IV")):

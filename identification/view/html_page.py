@@ -52,8 +52,9 @@ STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
 
 
 def write_html(path: Path, picture: Picture) -> None:
-    """Write the report, all panels but the moving robot, versions and digests as HTML,
-    complete or not at all.
+    """Write the report, all panels but the moving robot, versions and digests as HTML.
+
+    The file is written completely or not at all.
     """
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
@@ -85,8 +86,8 @@ def write_html(path: Path, picture: Picture) -> None:
 
 
 def notebook_figure(panel: Panel) -> str:
-    """A panel with the style of the report, in a frame, so that the style does
-    not change the notebook.
+    """Return a panel with the style of the report, in a frame that keeps the style from the
+    notebook.
     """
     height = (
         HEIGHT
@@ -107,7 +108,9 @@ def _style() -> str:
 
 
 def _page(page: Page) -> str:
-    """A page's figures, group by group, two single figures side by side; empty if it has none."""
+    """Return a view's figures, group by group, two single figures side by side; empty if it has
+    none.
+    """
     rows = list[list[str]]()
     for panels in page.groups.values():
         figures = [figure for panel in panels if (figure := _figure(panel))]
@@ -120,7 +123,7 @@ def _page(page: Page) -> str:
 
 
 def _figure(panel: Panel) -> str:
-    """A panel with its title and legend; empty for the moving robot."""
+    """Return a panel with its title and legend; empty for the moving robot."""
     title = escape(one_line(panel.title))
     match panel:
         case Log():
@@ -155,7 +158,7 @@ def _figure(panel: Panel) -> str:
 
 
 def draw_graph(graph: Graph) -> str:
-    """Curves with their axes."""
+    """Draw curves with their axes."""
     curves = [curve for curve in graph.curves if np.isfinite(curve.line[1]).any()]
     points = np.concatenate(
         [
@@ -193,7 +196,7 @@ def draw_graph(graph: Graph) -> str:
 
 
 def draw_rows(rows: Rows) -> str:
-    """Values by row: names at the left, then the columns with their heads, ticks and lines."""
+    """Draw values by row: names at the left, then the columns with their heads, ticks and lines."""
     width, count = width_of(rows), len(rows.names)
     left, bottom = 20 + 7.0 * max(len(name) for name, _ in rows.names), HEAD + PITCH * count
     bands = [f"M0 {HEAD + PITCH * row:g}H{width:g}v{PITCH:g}H0z" for row in range(0, count, 2)]
@@ -225,7 +228,7 @@ def draw_rows(rows: Rows) -> str:
 
 
 def width_of(panel: Panel) -> float:
-    """Pixels of a chart on a page."""
+    """Return the width of a chart in pixels."""
     return (
         {1: WIDTH, 2: SHEET, 3: SHEET}.get(len(panel.columns), WIDE)
         if isinstance(panel, Rows)
@@ -234,7 +237,7 @@ def width_of(panel: Panel) -> float:
 
 
 def _mark(mark: Mark, axis: Axis, edges: tuple[float, float]) -> str:
-    """A value's shape and interval."""
+    """Draw a value's shape and interval."""
     y = HEAD + PITCH * (mark.row + 0.5)
     low, x, high = axis.place(
         [mark.value - mark.half, mark.value, mark.value + mark.half], *edges
@@ -260,7 +263,7 @@ def _svg(title: str, width: float, height: float, parts: Iterable[str]) -> str:
 
 
 def _grid(across: Axis, up: Axis) -> list[str]:
-    """Lines and texts at the ticks."""
+    """Draw lines and texts at the ticks."""
     ups = [(float(up.place(value, BOTTOM, TOP)), text) for value, text in up.ticks.items()]
     rights = [(float(across.place(x, LEFT, RIGHT)), text) for x, text in across.ticks.items()]
     lines = [
@@ -275,12 +278,12 @@ def _grid(across: Axis, up: Axis) -> list[str]:
 
 
 def _places(axes: tuple[Axis, Axis], xy: Line | Array) -> Line:
-    """Points in pixels."""
+    """Return points in pixels."""
     return axes[0].place(xy[0], LEFT, RIGHT), axes[1].place(xy[1], BOTTOM, TOP)
 
 
 def _curve(curve: Curve, axes: tuple[Axis, Axis]) -> str:
-    """A curve by its minimum and maximum in each column of pixels."""
+    """Draw a curve by its minimum and maximum in each column of pixels."""
     known = np.isfinite(curve.line[1])
     x, y = _places(axes, (curve.line[0][known], curve.line[1][known]))
     k = extremes(y, max(1, math.ceil(len(y) / max(1.0, float(np.ptp(x))))))
@@ -299,5 +302,5 @@ def _text(x: float, y: float, text: str, color: Color, anchor: str = "middle") -
 
 
 def _n(x: float) -> str:
-    """A coordinate with one decimal at most."""
+    """Return a coordinate with one decimal at most."""
     return f"{x:.1f}".removesuffix(".0")

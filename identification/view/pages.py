@@ -22,15 +22,16 @@ from .robot_drawing import excitation_scene, robot_scene
 
 
 def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = None) -> Picture:
-    """A fit on one of its recordings; None: without its curves. A fit by IV is shown together with
-    its least squares; `truth`: known values of the base parameters.
+    """Draw a fit on one of its recordings, or without its curves if `one` is None.
 
-    Times are seconds from the recording's first sample, on the timeline `time`. Measured curves
-    cover the recording, filtered and predicted ones the fitted span. Entities are
-    `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
-    `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of
-    the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`,
-    `column/<quantity>`, `events`, `health`, `report`.
+    A fit by IV is shown together with its least squares. `truth`: known values of the base
+    parameters. Times are seconds from the recording's first sample, on the timeline `time`.
+    Measured curves cover the recording, filtered and predicted ones the fitted time range.
+
+    Entities are `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for
+    `dq` and `ddq`; `error/<joint>/reference`, `simulated`: these positions minus the measured one,
+    in the unit of the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`,
+    `robot`, `column/<quantity>`, `events`, `health`, `report`.
     """
     label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
     own = ParameterSet.of_file(fit, label)
@@ -79,7 +80,7 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
 
 
 def draw_friction(before: results.Evidence, after: results.Evidence, document: Document) -> Picture:
-    """The fits with the usual and with the recommended friction terms."""
+    """Draw the fits with the usual and with the selected friction terms."""
     recording = ", ".join(one.signals.recording for one in before.recordings)
     fits = {"usual": before, "recommended": after}
     return Picture(
@@ -98,8 +99,8 @@ def draw_friction(before: results.Evidence, after: results.Evidence, document: D
 def draw_validation(
     validated: Sequence[FitOnRecording], document: Document, sha256: Mapping[str, str]
 ) -> Picture:
-    """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the
-    model, and the residual.
+    """Draw recordings that a fit is applied to, a view each: measured torque, predicted torque, and
+    the residual of the rows.
     """
     return Picture(
         name=f"{validated[0].signals.robot.name} validation",
@@ -116,7 +117,7 @@ def draw_validation(
 
 
 def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
-    """A recording, with the panels that need no fit; entities as in `draw_fit`."""
+    """Draw a recording, with the panels that need no fit; entities as in `draw_fit`."""
     refusal, settings, signals = None, None, with_bandwidth(signals)
     try:
         settings = make_settings(signals, overrides)
@@ -133,7 +134,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
 def draw_comparison(
     own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]
 ) -> Picture:
-    """Two sets of parameters that belong together, as `report.differences` requires."""
+    """Draw two sets of parameters that belong together, as `report.differences` requires."""
     return Picture(
         name=f"{own.label} and {other.label}",
         document=document,
@@ -145,7 +146,7 @@ def draw_comparison(
 
 
 def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
-    """Errors of all runs of a study."""
+    """Draw the errors of all runs of a study."""
     return Picture(
         name=f"{robot}, study",
         document=document,
@@ -157,7 +158,7 @@ def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
 def draw_sensitivity(
     sha256: Mapping[str, str], fits: Sequence[VariedFit], document: Document
 ) -> Picture:
-    """The essential parameters in all variants; `sha256` by recording."""
+    """Draw the essential parameters in all variants; `sha256` by recording."""
     return Picture(
         name=f"{', '.join(sha256)}, sensitivity",
         document=document,
@@ -168,7 +169,7 @@ def draw_sensitivity(
 
 
 def draw_excitation(excitation: Excitation, document: Document) -> Picture:
-    """One period of a reference with its limits, and the expected intervals.
+    """Draw one period of a reference with its limits, and the expected intervals.
 
     Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`,
     `low` and `high`; `robot`, `report`.
@@ -196,8 +197,8 @@ def _signal_pages(
     fit: FitOnRecording | None,
     residuals: Sequence[Plot],
 ) -> list[Page]:
-    """The pages of a recording with or without a fit and its residuals: overview,
-    signal quality, motion.
+    """Return the views of a recording with or without a fit and its residuals: overview, signal
+    quality, motion.
     """
     lines = curves.lines_of(signals, settings, fit)
     torque = [curves.plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
@@ -235,15 +236,17 @@ def _signal_pages(
 def _friction_page(
     fits: Mapping[str, FitFile], recordings: Mapping[str, Sequence[FitOnRecording]]
 ) -> Page:
-    """Friction of each joint over its speed, for one fit or several fits side by side."""
+    """Return the view of each joint's friction over its speed, for one fit or several side by
+    side.
+    """
     of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
     by_joint = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
     return Page(name="friction", groups={"friction": of_fits[0]} if len(fits) == 1 else by_joint)
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:
-    """One picture of a fit to several recordings: all pages of the first, then the
-    signals of the others.
+    """Join the views of a fit to several recordings: all of the first, then the signals of the
+    others.
     """
     first, *others = pictures
     return replace(

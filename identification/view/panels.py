@@ -86,7 +86,7 @@ class Axis:
     by: Callable[[Array], Array] = np.asarray
 
     def place(self, x: ArrayLike, left: float, right: float) -> Array:
-        """Positions between two edges; what is beyond the ends is drawn there."""
+        """Return positions between two edges; values beyond the ends are drawn at the ends."""
         low, high = self.by(np.array([self.low, self.high]))
         share = np.clip(
             (self.by(np.asarray(x, dtype=float)) - low) / ((high - low) or 1.0), 0.0, 1.0
@@ -95,8 +95,8 @@ class Axis:
 
 
 def linear(low: float, high: float, most: int) -> Axis:
-    """Between two ends, with at most `most` ticks at multiples of 1, 2 or
-    5 times a power of ten.
+    """Return an axis between two ends, with at most `most` ticks at multiples of 1, 2 or 5 times a
+    power of ten.
     """
     if not high > low:
         return Axis(low=low, high=high, ticks={low: f"{low:.3g}"})
@@ -109,7 +109,7 @@ def linear(low: float, high: float, most: int) -> Axis:
 
 
 def logarithmic(low: float, high: float, most: int) -> Axis:
-    """Between two ends above zero, with ticks at powers of ten."""
+    """Return an axis between two ends above zero, with ticks at powers of ten."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     return Axis(
         low=low,
@@ -123,7 +123,7 @@ def logarithmic(low: float, high: float, most: int) -> Axis:
 
 
 def decades(values: ArrayLike, most: int) -> Axis:
-    """A logarithmic axis of whole powers of ten around values above zero."""
+    """Return a logarithmic axis of whole powers of ten around values above zero."""
     low, high = float(np.min(values)), float(np.max(values))
     return logarithmic(
         10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)), most
@@ -181,7 +181,7 @@ class Moving:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene(_Panel):
-    """Robots in one picture, drawn with the shapes of a `urdf`, whose joints are `joints`.
+    """Robots in one view, drawn with the shapes of a `urdf`, whose joints are `joints`.
 
     `up` (3,) is opposite to gravity; `floor` is the ground's height along it. The camera at `eye`
     (3,) looks at `target`.
@@ -201,8 +201,8 @@ Panel = Graph | Rows | Log | Scene
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """Panels that are looked at together, in groups of one kind, or with `tabs` of one thing; Rerun
-    shows a group at a time.
+    """Panels of one view, in groups of one kind, or with `tabs` of one thing; Rerun shows a group
+    at a time.
     """
 
     name: str
@@ -212,7 +212,7 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result: its name, report and pages; `sha256` are those of its files by name, `first` is the
+    """A result: its name, report and views; `sha256` are those of its files by name, `first` is the
     panel to look at first.
     """
 
