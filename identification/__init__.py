@@ -10,7 +10,7 @@ imports only run down::
                  consistency (pinocchio)
     regression   settings, filters, weights of samples; the terms of the equation of motion, their
                  unknowns x, and the rows J, Z, r
-    control      the law that moves the robot: described, found, or the default PD
+    control      the control law that moves the robot: described, found, or the default PD
     simulation   the robot in closed loop, instruments along its motion
     trust        tests of a solution
     methods      the method on one screen (`idim`), from recordings to a solution

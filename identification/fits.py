@@ -39,8 +39,8 @@ class Fit:
     Attributes:
         file: all keys of the JSON file.
         place: its name in errors, and in what is exported.
-        evidence: what it was made from, with the passes, the rows and the simulated robot; None of
-            a fit that was read from a file.
+        evidence: what it was made from, with the iterations, the rows and the simulated robot; None
+            of a fit that was read from a file.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ class Fit:
     def consistent(self, prior: File | None = None) -> "Fit":
         """The fit with the nearest physically possible parameters of all links.
 
-        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the
+        `prior`: a robot.toml or a URDF with a priori link parameters; default: the
             description of the fit.
         Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
             are no such parameters; or the fit was read from a file.

@@ -127,7 +127,7 @@ def fit(
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
     tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no
-        drive gain. Their timing is unknown: `torque_lag_s` states the lag.
+        drive gain. Their timing is unknown: `torque_lag_s` states the delay.
     sample_rate_hz : sample rate; that of the recording that `q` is of replaces one that is over 5 %
         off, with a warning.
     robot : the description, or the path of a robot.toml or of a URDF.

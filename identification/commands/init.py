@@ -184,7 +184,7 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
 
 
 def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:
-    """By joint the unit of the recorded effort: what its drive gives, or as stated; empty if
+    """By joint the unit of the recorded effort: what its drive gives, or as given; empty if
     neither says it.
     """
     from acquisition.robot import efforts_of_scan

@@ -1,7 +1,9 @@
-"""Control: the law that moves the robot, described, found in a recording, or the default PD.
+"""Control: the control law that moves the robot, described, found in a recording, or the default
+PD.
 
-It owns `ControlLaw`, the state that a simulation needs of it, the search for the law of a
-recording, and what a described law says of the lag. It may use `regression` and the rooms below.
+It owns `ControlLaw`, the state that a simulation needs of it, the search for the control law of a
+recording, and what a given control law says of the delay. It may use `regression` and the rooms
+below.
 """
 
 from .control_law import (

@@ -106,15 +106,16 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlLaw:
-    """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad
-    (or m).
+    """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or
+    m).
 
     Attributes:
-        kind: whether it is described, found in a recording, or a PD of the stated bandwidth.
-        structure: as of `[controller]`.
+        kind: given in robot.toml, estimated from a recording, or a default PD of the given
+            bandwidth.
+        structure: as in `[controller]`.
         R, G: of the robot, q_m = R q and tau = Rᵀ G u.
-        Kp, Kd, Ki: of the law above; `position_share`: alpha, how the position error enters the
-            integral.
+        Kp, Kd, Ki: gains of the control law above.
+        position_share: alpha, how the position error enters the integral.
         gravity: the model's, added along the reference, at the measured position, or not at all.
         periods: of the controller in `period_s`.
     """
@@ -135,17 +136,17 @@ class ControlLaw:
 
     @property
     def feedforward(self) -> float:
-        """phi, the share of the reference's speed."""
+        """Share phi of the reference's speed."""
         return 0.0 if self.structure in ("pd", *CASCADES) else 1.0
 
     @property
     def computed_torque(self) -> bool:
-        """Whether the loop has a model, and gains that act on accelerations."""
+        """True if the loop has a model, and gains that act on accelerations."""
         return self.structure == "computed_torque"
 
     @property
     def keys(self) -> dict[str, Any]:
-        """The keys of `[controller]` that describe it, as `described_law` reads them."""
+        """Keys of `[controller]` that describe it, as `described_law` reads them."""
         by = self.Kd if self.structure in CASCADES else np.ones(len(self.Kd))
         return {
             "structure": self.structure,
@@ -158,22 +159,22 @@ class ControlLaw:
 
     @property
     def integrates(self) -> bool:
-        """Whether its structure has an integral."""
+        """True if its structure has an integral."""
         return self.structure in INTEGRATING
 
     @property
     def middle(self) -> float:
-        """Of the controller's instants in a step, in steps from its begin."""
+        """Middle of the controller's instants in a step, in steps from its begin."""
         return 0.5 * (self.periods - 1) / self.periods
 
     def slower(self, M: Array, rate_hz: float) -> "ControlLaw":
-        """The loop of a robot of inertias M (P, n, n) with every m-th of its instants, at least
-        `rate_hz`: steps of a simulation cost the same at any rate.
+        """Return the loop of a robot of inertias M (P, n, n) with every m-th of its instants, at
+        least `rate_hz`.
 
-        u of the m instants in a step is that of their middle, to first order, with the speed as
-        late as the controller estimates it. That holds while the fastest speed loop, of the largest
-        eigenvalue of M⁻¹ Rᵀ G Kd R, needs more than a step: `MAX_DECAY`. Computed torque keeps its
-        instants.
+        Steps of a simulation cost the same at any rate. u of the m instants in a step is that of
+        their middle, to first order, with the speed as late as the controller estimates it. That
+        holds while the fastest speed loop, of the largest eigenvalue of M⁻¹ Rᵀ G Kd R, needs more
+        than a step: `MAX_DECAY`. Computed torque keeps its instants.
         """
         if self.computed_torque:
             return self
@@ -183,11 +184,11 @@ class ControlLaw:
         return replace(self, period_s=m * self.period_s, periods=m)
 
     def scaled(self, factor: Array) -> "ControlLaw":
-        """The gain update: the loop for other inertias, with gains and
-        saturation times `factor` (n,).
+        """Apply the gain update: return the loop for other inertias, with gains and saturation
+        times `factor` (n,).
 
-        Gains of computed torque act on accelerations and stay: the model in the
-        loop has the new inertias.
+        Gains of computed torque act on accelerations and stay: the model in the loop has the new
+        inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
         return replace(
@@ -199,9 +200,10 @@ class ControlLaw:
         )
 
     def inertias(self, bandwidth_hz: float) -> Array:
-        """Inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G Kp R.
+        """Return inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G
+        Kp R.
 
-        Ones for computed torque, whose gains do not depend on inertias.
+        They are ones for computed torque, whose gains do not depend on inertias.
         """
         if self.computed_torque:
             return np.ones(len(self.Kp))
@@ -211,8 +213,8 @@ class ControlLaw:
 
 
 def described_gains(controller: Controller) -> Array | None:
-    """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it
-    is not described whole.
+    """Return Kp, Kd, Ki (3, n) of the given control law u = Kp e + ...; None if it is
+    incomplete.
     """
     given = [
         controller.position_gain,
@@ -227,9 +229,11 @@ def described_gains(controller: Controller) -> Array | None:
 
 
 def described_law(robot: Robot) -> ControlLaw | None:
-    """The loop of the description's `[controller]`, None if it states none.
+    """Return the loop of the description's `[controller]`, None if it gives none.
 
-    Raises `BadInputError` naming missing keys.
+    Raises
+    ------
+    BadInputError : keys are missing; it names them.
     """
     c, needed = robot.controller, ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
     gains = described_gains(c)
@@ -262,8 +266,10 @@ def described_law(robot: Robot) -> ControlLaw | None:
 
 
 def default_law(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
-    """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth,
-    zeta 0.8, inertias J (n,).
+    """Return a PD at the joints with velocity feedforward and gravity: w_n = 2 pi bandwidth, zeta
+    0.8.
+
+    `J` (n,) are the inertias.
     """
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return ControlLaw(
@@ -288,7 +294,7 @@ class Control:
     def __init__(
         self, model: DirectModel, loop: ControlLaw, q: Array, v: Array, numbers: Numbers = ARRAYS
     ) -> None:
-        """`q`, `v` (n,) are the initial position and speed; later ones are of kind `numbers`."""
+        """Begin at the position and speed `q`, `v` (n,); later ones are of kind `numbers`."""
         self._model, self._loop, self._T, self._start = model, loop, loop.period_s, q[None]
         self._numbers, own, to_joints = numbers, numbers.own, loop.R.T * loop.G
         self._to_motors, self._R_inverse = np.linalg.inv(to_joints), np.linalg.inv(loop.R)
@@ -312,7 +318,7 @@ class Control:
         self._late_s = 2 * delay * self._T
 
     def take(self, reference: Reference) -> None:
-        """Set the reference, or its next span; instants are counted from its start."""
+        """Set the reference, or its next part; instants are counted from its start."""
         loop, self._reference, each = self._loop, reference, self._numbers.each
         fed = 0.0 * reference.q if reference.feedforward is None else reference.feedforward
         held = self._held(reference.q) if loop.gravity == "reference" else 0.0 * fed
@@ -330,8 +336,8 @@ class Control:
             self._integral = self._numbers.own(np.where(loop.Ki > 0, need[0], 0.0))
 
     def torque(self, k: int, q: Any, v: Any) -> Any:
-        """The controller's joint torques (n,) at its instant k, at which the encoder
-        reads the positions q.
+        """Return the controller's joint torques (n,) at its instant k, at which the encoder reads
+        the positions q.
         """
         loop, dot, dq, x = self._loop, self._numbers.dot, v, 0.0
         if self._reference.seen is not None:
@@ -363,8 +369,8 @@ class Control:
         return dot(self._to_joints, u)
 
     def _held(self, q: Array) -> Array:
-        """Motor efforts (N, n) that hold the robot at positions q (N, n) at the first N
-        instants, beside the known torque.
+        """Return motor efforts (N, n) that hold the robot at positions q (N, n) at the first N
+        instants, beside the external torque.
         """
         known, gravity = self._reference.known_torque, self._model.gravity(q)
         return (gravity if known is None else gravity - known[: len(q)]) @ self._to_motors.T

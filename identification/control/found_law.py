@@ -5,13 +5,14 @@ reference r and its position q.
 
 The law is linear and acts on the measured position, whose noise is thus no error in the
 variables: least squares is right, whatever the robot. r, q and u pass one low-pass, which
-commutes with derivatives, integrals and delays; the delay d of the reference and the lag L of the
+commutes with derivatives, integrals and delays; the delay d of the reference and the delay L of the
 effort are found by Gauss-Newton steps beside the gains. The speed v is dq, or dq half a period or
 a period ago, by the controller's estimate. The data determine only d + L: the estimate with the
 smallest d and L is taken. A controller's integral is a sum of rectangles: that of the path and
 half a period of its integrand.
 
-A described law that gives the effort at its own instants tells the lag of the recorded torque too.
+A given control law that gives the effort at its own instants tells the delay of the recorded torque
+too.
 """
 
 import math
@@ -57,20 +58,21 @@ DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoundLaw:
-    """What a recording shows of the control law of each motor, by one structure.
+    """The control law of each motor as a recording shows it, by one structure.
 
     Attributes:
-        law: that of its gains, whatever they are; `described` structure if there is one, and `pd`
-            also for `cascade_p_p`.
+        law: the control law of its gains, whatever they are; of the given structure if there is
+            one, and
+            `pd` also for `cascade_p_p`.
         reason: why it is not to be used; None if it is.
-        rival: the structure that fits better than the described one; None for none.
+        rival: the structure that fits better than the given one; None for none.
         gains_half: (3, n) half-widths of the 95 % intervals of Kp, Kd, Ki.
-        delay_s, delay_half_s: (n,) of the reference. `lag_s`, `lag_sd_s`: (n,) of the effort
-            behind the law's instant.
+        delay_s, delay_half_s: (n,) delay of the reference.
+        lag_s, lag_sd_s: (n,) delay of the effort after the control law's instant.
         residual_percent: (n,) of the effort's variation.
         clear: (n,) motors that determine the structure by themselves.
-        described: (3, n) the described gains; None without. `lag_s` and `lag_sd_s` are then
-            those with these gains.
+        described: (3, n) the given gains; None without. `lag_s` and `lag_sd_s` are then those with
+            these gains.
     """
 
     law: ControlLaw
@@ -87,18 +89,18 @@ class FoundLaw:
 
     @property
     def gains(self) -> Array:
-        """(3, n) Kp, Kd, Ki."""
+        """Kp, Kd, Ki, (3, n)."""
         return np.array([self.law.Kp, self.law.Kd, self.law.Ki])
 
     @property
     def used(self) -> Bools:
-        """(3,) which of the gains the structure has."""
+        """Mask (3,) of the gains that the structure has."""
         return np.array([True, True, self.law.integrates])
 
     @property
     def common_delay_s(self) -> float:
-        """The delay of the reference, the median of the motors, s; 0 if it may be 0,
-        or the law does not fit.
+        """Delay of the reference, the median of the motors, s; 0 if it may be 0, or if the control
+        law does not fit.
         """
         delay_s, half_s = float(np.median(self.delay_s)), float(np.median(self.delay_half_s))
         fits = (self.residual_percent <= MAX_RESIDUAL_PERCENT).all()
@@ -106,10 +108,14 @@ class FoundLaw:
 
 
 def law_of_recording(robot: Robot, signals: Signals, found: FoundLaw | None) -> ControlLaw | None:
-    """The law that the description has or, without one, that was found; None for neither. Along a
-    measured position it has the model's gravity, as the position has the sag.
+    """Return the control law given in the description or, without one, the estimated one; None for
+    neither.
 
-    Raises `BadInputError` for an incomplete description.
+    Along a measured position it has the model's gravity, as the position has the sag.
+
+    Raises
+    ------
+    BadInputError : the description is incomplete.
     """
     law = described_law(robot)
     if law is None and found is not None and found.reason is None:
@@ -120,11 +126,11 @@ def law_of_recording(robot: Robot, signals: Signals, found: FoundLaw | None) -> 
 
 
 def law_of(problem: Problem) -> FoundLaw | None:
-    """The control law found in the recording, by the described structure if there is one.
+    """Estimate the control law from the recording, by the given structure if there is one.
 
-    None without a reference, or where the described law is not linear. A law is found if every
-    motor's residual is small and its gains are positive, and if the structure is clearly better at
-    some motor than all that it is no part of, while none that contains it is.
+    It is None without a reference, or if the given control law is not linear. A control law is
+    accepted if every motor's residual is small and its gains are positive, and if the structure is
+    clearly better at some motor than all that it is no part of, while none that contains it is.
     """
     signals, controller = problem.signals, problem.signals.robot.controller
     if signals.q_ref is None or controller.structure == "computed_torque":
@@ -145,8 +151,8 @@ def law_of(problem: Problem) -> FoundLaw | None:
 
 
 def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], list[Found]]:
-    """Least squares of all motors by columns and the controller's estimate of the speed, each done
-    once.
+    """Return a least-squares solver of all motors by columns and the controller's estimate of the
+    speed, each done once.
     """
 
     @cache
@@ -161,7 +167,9 @@ def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], l
 def _select_law(
     robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float
 ) -> FoundLaw:
-    """The law by the described structure or, without one, the structure that fits best."""
+    """Select the control law by the given structure or, without one, the structure that fits
+    best.
+    """
     solved = _solver(motors, period_s)
     percent = {
         name: np.min(
@@ -210,8 +218,9 @@ def _with_values(
     name: str,
     period_s: tuple[float, float],
 ) -> FoundLaw:
-    """The law of a structure, with its estimate of the speed; `period_s`: of the controller, and
-    how much of it is unknown.
+    """Return the control law of a structure, with its estimate of the speed.
+
+    `period_s`: of the controller, and how much of it is unknown.
     """
     letters, described = STRUCTURES[name], described_gains(robot.controller)
     ways = {one: solved(letters, one) for one in SPEED_DELAYS}
@@ -259,8 +268,9 @@ def _with_values(
 
 
 def _estimate(tried: dict[str, list[Found]], motor: MotorPaths, described: str | None) -> str:
-    """The controller's estimate of the speed: the described one unless another fits better, else of
-    those that fit alike the one with the smallest delay and lag.
+    """Select the controller's estimate of the speed: the given one unless another fits better.
+
+    Of those that fit alike the one with the smallest delays is taken.
     """
     left = {one: _floored(_percents(found)) for one, found in tried.items()}
     limit = MIN_RATIO * np.min(list(left.values()), axis=0)
@@ -284,8 +294,8 @@ def _percents(found: list[Found]) -> Array:
 
 
 def _is_clear(name: str, percent: dict[str, Array]) -> Bools:
-    """By motor whether a structure is better than those that it is no part of, and no worse than
-    those that contain it.
+    """Test by motor whether a structure is better than those that it is no part of, and no worse
+    than those that contain it.
     """
     own, found = _floored(percent[name]), list[Bools]()
     for other in LAWS.keys() - {name}:
@@ -300,8 +310,11 @@ def _floored(percent: Array) -> Array:
 
 
 def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s: float) -> Array:
-    """Of a motor Kp, Kd, Ki, their half-widths, and delay, its half-width, lag, its deviation,
-    s, (10,); NaN if undetermined. If gains are `stated` (3,), the lag is that with these.
+    """Return Kp, Kd, Ki of a motor, their half-widths, and both delays with their uncertainty, s,
+    (10,).
+
+    Undetermined values are NaN. If gains are given (`stated`, (3,)), the delay of the effort is
+    that with these.
     """
     letters, found = STRUCTURES[name], np.full(10, np.nan)
     _, rho, J = motor.solved(letters, late_s, *x[-2:])
@@ -326,8 +339,8 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
 
 
 def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple[float, float]:
-    """The lag of the effort and its deviation, s, if the gains (3,) are those of the law,
-    up to a common factor.
+    """Return the delay of the effort and its standard error, s, if the gains (3,) are those of the
+    control law, up to a common factor.
     """
     Kp, Kd, Ki = gains
     of = {"e": Kp, "f": Kd, "v": Kd, "i": Ki * Kp / Kd if "q" in letters else Ki, "q": Ki}
@@ -343,11 +356,11 @@ def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple
 
 
 def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
-    """Return the lag of the torque without an estimate, where the described control law gives the
-    effort; drives have loops that a description does not.
+    """Return the delay of the torque without an estimate, where the given control law gives the
+    effort.
 
-    A command acts from its tick to the next one, on average half a period later; the drive's own
-    delay is not included.
+    Drives have loops that a description does not contain. A command acts from its tick to the next
+    one, on average half a period later; the drive's own delay is not included.
     """
     if found is None or found.described is None or problem.signals.of_drives:
         return None
@@ -363,8 +376,10 @@ def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
 
 
 def lag_without_fit(group: Sequence[tuple[Problem, FoundLaw | None]]) -> Lag:
-    """Return the lag of a group of recordings as known without an estimate, by user, recording and
-    law: the mean of theirs, with the smallest deviation.
+    """Return the delay of a group of recordings as known without an estimate.
+
+    It is the mean of the delays by user, recording and control law, with the smallest standard
+    error.
     """
     each, by_law_s = list[Lag](), None
     for problem, found in group:

@@ -42,7 +42,9 @@ class MotorPaths:
         known: Lag,
         period_s: float,
     ) -> None:
-        """`paths`: r and q, each with two derivatives and the integral, (4, rows) by their delay;
+        """Store the paths.
+
+        `paths`: r and q, each with two derivatives and the integral, (4, rows) by their delay;
         `beside`: further columns, and the effort; `rate_hz`: of the paths; `period_s`: of the
         controller's sum.
         """
@@ -51,8 +53,9 @@ class MotorPaths:
         self.rate_hz, self.known = rate_hz, known
 
     def solve(self, letters: str, late_s: float, near: Found | None) -> Found:
-        """Least squares by the columns `letters`, the speed being `late_s` behind; `near`: the
-        solution of another delay of the speed.
+        """Solve least squares by the columns `letters`, the speed being `late_s` behind.
+
+        `near`: the solution of another delay of the speed.
         """
         if near is not None and near[0] < MAX_RESIDUAL_PERCENT:
             return self._refined(letters, late_s, near[1][-2:])
@@ -65,8 +68,8 @@ class MotorPaths:
         return min(found, key=lambda one: one[0])
 
     def solved(self, letters: str, late_s: float, d: float, L: float) -> tuple[Array, Array, Array]:
-        """The values of least squares at d and L, the residual (rows,), and the columns of these
-        values, of d and of L.
+        """Return the values of least squares at d and L, the residual (rows,), and the columns of
+        these values, of d and of L.
         """
         c, by_d, by_L = self._columns(letters, late_s, d, L)
         x = scaled_solution(c, self.u)
@@ -76,7 +79,9 @@ class MotorPaths:
     def _columns(
         self, letters: str, late_s: float, d: float, L: float
     ) -> tuple[Array, Array, Array]:
-        """Columns (rows, k) at d and L with those beside them, and derivatives by d and by L."""
+        """Return columns (rows, k) at d and L with those beside them, and derivatives by d and by
+        L.
+        """
         r, dr, ddr, ir = self._r(L + d)
         q, dq, _, iq = self._q(L)
         _, v, dv, _ = self._q(L + late_s)
@@ -93,8 +98,8 @@ class MotorPaths:
         return np.c_[c, self._beside], by_d, by_L
 
     def _first_delay(self, letters: str, late_s: float, by: str) -> float:
-        """The delay by columns of what it adds to the error, -d dr, or to its integral, -d r,
-        which grows without bound.
+        """Return the delay by columns of what it adds to the error, -d dr, or to its integral, -d
+        r, which grows without bound.
         """
         d, letter = 0.0, "w" if by == "e" and "w" in letters else by
         added = [letters.index(one) for one in "e" * (by == "i") + letter]
@@ -109,8 +114,9 @@ class MotorPaths:
         return d
 
     def _refined(self, letters: str, late_s: float, at: Array) -> Found:
-        """Gauss-Newton steps of the values, d and L from `at` on; L is known within limits; a law
-        far from the effort is left.
+        """Take Gauss–Newton steps of the values, d and L from `at` on.
+
+        L is known within limits; a control law far from the effort is left.
         """
         known, step = self.known, np.inf
         size = max(math.sqrt(len(self.u)) * self.u.std(), 1e-300)
@@ -129,14 +135,16 @@ class MotorPaths:
 
 
 def scaled_solution(A: Array, y: Array) -> Array:
-    """Least squares by columns of norm one; of a column of zeros the value is zero."""
+    """Solve least squares by columns of norm one; the value of a column of zeros is zero."""
     norm = np.linalg.norm(A, axis=0)
     scale = np.where(norm > 0, norm, 1.0)
     return np.asarray(np.linalg.lstsq(A / scale, y)[0] / scale)
 
 
 def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPaths]:
-    """The motors of a recording, with the lag as known, and the period of the controller's sum."""
+    """Return the motors of a recording, with the delay as known, and the period of the controller's
+    sum.
+    """
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimator.factor
     first_s = settings.used[: round(MAX_USED_S * fs)]
@@ -167,8 +175,9 @@ def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPath
 
 
 def _row_places(N: int, n_d: int, fs: float) -> Ints:
-    """Samples of the rows at which efforts are compared, of N: samples of the paths too, away from
-    the ends.
+    """Return the samples of the rows at which efforts are compared, of N.
+
+    They are samples of the paths too, away from the ends.
     """
     step, edge = max(1, n_d // SAMPLES_PER_ROW), EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
     apart = max(n_d, (N - 2 * edge) // MAX_ROWS)
@@ -176,8 +185,10 @@ def _row_places(N: int, n_d: int, fs: float) -> Ints:
 
 
 def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
-    """Which rows (rows, n), at the samples `at` of those used, have few near them whose effort u
-    (N, n) is at its limit, or that were not measured: neither follows the law.
+    """Return a mask (rows, n), at the samples `at` of those used, of rows that follow the control
+    law.
+
+    Few samples near them have an effort u (N, n) at its limit, or were not measured.
     """
     limited = np.abs(u) >= SATURATED * problem.signals.robot.saturation
     left: Ints = np.cumsum(limited | ~problem.measured_samples()[used, None], axis=0)
@@ -186,8 +197,8 @@ def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
 
 
 def _gravity(problem: Problem, q: Array) -> Array:
-    """(b, rows, n) efforts of the motors, at their positions q, that gravity fed forward may have;
-    no columns where it is not.
+    """Return efforts (b, rows, n) of the motors, at their positions q, that gravity fed forward may
+    have; no columns if it is not.
     """
     robot = problem.signals.robot
     if not robot.controller.gravity_feedforward:
@@ -198,8 +209,8 @@ def _gravity(problem: Problem, q: Array) -> Array:
 
 
 def _paths(x: Array, fs: float, step: int) -> list[Array]:
-    """By motor the spline coefficients of every `step`-th sample of a path (N, n), of its two
-    derivatives and its integral.
+    """Return by motor the spline coefficients of every `step`-th sample of a path (N, n), of its
+    two derivatives and its integral.
     """
     dx, summed = differentiate(x, fs), (np.cumsum(x, axis=0) - 0.5 * x) / fs
     series = np.stack([x, dx, differentiate(dx, fs), summed], axis=-1)[::step]
@@ -207,7 +218,7 @@ def _paths(x: Array, fs: float, step: int) -> list[Array]:
 
 
 def _path(c: Array, places: Ints, rate_hz: float) -> Path:
-    """The path of these coefficients, at places that are counted in its samples."""
+    """Evaluate the path of these coefficients, at places that are counted in its samples."""
 
     @lru_cache(_REMEMBERED)  # structures and steps share most of their lags and delays
     def path(late_s: float) -> Array:

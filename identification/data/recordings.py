@@ -111,7 +111,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
 
 def _read(path: Path) -> tuple[Recording, Block]:
-    """Read a recording that is whole, and its samples, of which there must be some."""
+    """Read a complete recording and its samples; refuse one without samples."""
     recording = read_recording(path)
     if recording.cut:
         raise BadInputError(
@@ -132,8 +132,10 @@ def _read(path: Path) -> tuple[Recording, Block]:
 def _with_recorded_controller(
     robot: Robot, was: Robot, path: Path
 ) -> tuple[Robot, tuple[str, ...]]:
-    """Another description with the control law of a dry run, which belongs to the drives of the
-    recording; a warning if the description has one too.
+    """Return another description with the control law of a dry run, which belongs to the recorded
+    drives.
+
+    It warns if the description has a control law too.
     """
     law = was.files.get(SIMULATED_CONTROLLER)
     if law is None:
@@ -147,9 +149,7 @@ def _with_recorded_controller(
 
 
 def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[str, Array]:
-    """Columns of samples at the joint, converted to the motors as recorded, and back to joints by
-    `robot`.
-    """
+    """Convert samples at the joint back to the motors as recorded, and to joints by `robot`."""
     conversions = {
         "position": (was.motor_position, robot.joint_position),
         "reference": (was.motor_position, robot.joint_position),
@@ -164,8 +164,9 @@ def _converted(columns: Mapping[str, Array], was: Robot, robot: Robot) -> dict[s
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
-    """Another description may correct ratios and gains, but cannot change volts
-    to amperes or rad to m.
+    """Refuse a description that changes volts to amperes or rad to m.
+
+    Another description may correct ratios and gains.
     """
     units = (
         [
@@ -181,12 +182,15 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
 
 
 def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """A uniform grid (N,) for stamps `since` the first, both in ns, its rate in Hz, and the largest
-    offset of a stamp in periods.
+    """Return a uniform grid (N,) for timestamps `since` the first, its rate in Hz, and the largest
+    offset of a timestamp in periods.
 
-    Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that
-    agrees with theirs within 10 %. Refuses time that does not increase, and a gap far longer than
-    the rows.
+    Times are in ns. Uniform timestamps are the grid. If samples are missing, the grid has the
+    nominal rate, if that agrees with theirs within 10 %.
+
+    Raises
+    ------
+    BadInputError : time does not increase, or a gap is far longer than the rows.
     """
     if len(since) < 2:
         Location(str(path)).refuse("samples", len(since), "a trajectory")
@@ -220,7 +224,7 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
 
 
 def _resample(grid: Array, since: Array, x: Array) -> Array:
-    """x (N, n), sampled at `since`, ns, on the grid: unchanged, or by a cubic spline."""
+    """Return x (N, n), sampled at `since`, ns, on the grid: unchanged, or by a cubic spline."""
     if len(grid) == len(since) and (grid == since).all():
         return x
     from scipy.interpolate import CubicSpline
@@ -229,7 +233,7 @@ def _resample(grid: Array, since: Array, x: Array) -> Array:
 
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
-    """The recorder's counters by name, over time in s from the first sample."""
+    """Return the recorder's counters by name, over time in s from the first sample."""
     rows = [(1e-9 * (one.stamp_ns - first_ns), one.counters) for one in recording.health]
     return {
         name: (
@@ -241,7 +245,7 @@ def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
-    """Sample range of a session phase, from its event to that of the next phase."""
+    """Return the sample range of a session phase, from its event to that of the next phase."""
     phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
     for k, (begin_ns, phase) in enumerate(phases):
         if phase == name:
@@ -256,11 +260,12 @@ class RecordingFile:
     """A recording's file; the process that needs it reads it, at the same path in all processes.
 
     Attributes:
-        path: of the file.
-        description: files, by name, of a description that replaces the recording's
-            own; None for its own.
-        payload: as of `--payload`, `none` or `unknown`, in place of the recording's
-            own; None for its own.
+        path: path of the file.
+        description: files, by name, of a description that replaces the recording's own; None for
+            its
+            own.
+        payload: replaces the recording's own payload, as `--payload`, `none` or `unknown`; None for
+            its own.
     """
 
     path: str
@@ -271,7 +276,9 @@ class RecordingFile:
     def at(
         cls, path: Path, robot: Robot | None = None, payload: str | None = None
     ) -> "RecordingFile":
-        """The recording at `path`, with the description `robot` and the `payload` if given."""
+        """Return the recording at `path`, with the description `robot` and the `payload` if
+        given.
+        """
         return cls(
             path=str(path.absolute()),
             description=None if robot is None else tuple(robot.files.items()),
@@ -279,7 +286,7 @@ class RecordingFile:
         )
 
     def load(self) -> Signals:
-        """The signals of the recording. Raises as `load_signals`."""
+        """Return the signals of the recording; raise as `load_signals`."""
         signals = load_signals(
             self.path,
             robot_from_files(dict(self.description), self.path) if self.description else None,
@@ -332,7 +339,7 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
 
 
 def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
-    """What must be that of the `first` robot, with as many joints: keys and values."""
+    """Return what must equal the `first` robot, with as many joints: keys and values."""
     return [
         *(
             (
@@ -354,6 +361,8 @@ def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:
-    """The friction terms of a joint in fixed order, so that equivalent descriptions are equal."""
+    """Return the friction terms of a joint in fixed order, so that equivalent descriptions are
+    equal.
+    """
     terms = tuple(term for term in get_args(FrictionTerm) if term in joint.terms)
     return ("for each direction", *terms) if joint.one_sided else terms

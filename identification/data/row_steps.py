@@ -9,7 +9,7 @@ the median of its four neighbours, two on either side:
     late, then both | 1.0  1.0  0.0  2.1  1.1  1.2  1.2 |   0, then 2 m: compensated, nothing lost
 
 - **All joints together**: the ratio x/m is that of the least squares of x by m over the joints,
-  each divided by its deviation. A whole multiple of m, within `MAX_ERROR`, counts.
+  each divided by its standard error. A whole multiple of m, within `MAX_ERROR`, counts.
 - **Deviation** of a joint: the scatter of x about m, by its median in blocks of rows; at least that
   of rounding, which is seen in the smallest changes of a step (quanta of an encoder).
 - **Alike**: a ratio tells something only if three of the four neighbours are near m. Next to a
@@ -73,7 +73,7 @@ def _count(q: Array) -> tuple[Array, Array]:
 
 
 def _count_of_all(around: Array, x: Array, m: Array, deviation: Array) -> Array:
-    """Counts (4,) of all joints together, as a row that is missing is missing for all of them."""
+    """Count (4,) for all joints together, because a missing row is missing for all of them."""
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
     size = np.linalg.norm(m * weight, axis=1)
     none, once, twice = (
@@ -94,7 +94,7 @@ def _count_of_all(around: Array, x: Array, m: Array, deviation: Array) -> Array:
 
 
 def _count_by_joint(x: Array, m: Array, noise: Array, deviation: Array) -> Array:
-    """Counts (n, 3) of each joint alone, whose steps may be too few quanta for those of all."""
+    """Count (n, 3) for each joint alone, whose steps may be too few quanta for a common count."""
     above = np.abs(m) > MIN_DEVIATIONS * noise
     coarse = above & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
@@ -103,7 +103,7 @@ def _count_by_joint(x: Array, m: Array, noise: Array, deviation: Array) -> Array
 
 
 def _medians(x: Array, counts: Bools, blocks: int) -> Array:
-    """Medians (rows, n) in each of the blocks of x (rows, n), of the numbers that count."""
+    """Return medians (rows, n) in each of the blocks of x (rows, n), of the numbers that count."""
     parts = np.where(counts, x, np.inf).reshape(blocks, -1, x.shape[1])
     place = np.isfinite(parts).sum(axis=1, keepdims=True) // 2
     return np.repeat(

@@ -108,17 +108,17 @@ class Signals:
             release_pages(array)
 
     def load(self) -> "Signals":
-        """Itself, as what is read already."""
+        """Return the signals themselves, since they are read already."""
         return self
 
     def with_gains_of(self, robot: Robot) -> "Signals":
-        """The same efforts by the drive gains of another description of the robot."""
+        """Return the same efforts by the drive gains of another description of the robot."""
         return replace(
             self, robot=robot, effort=robot.joint_effort(self.robot.motor_effort(self.effort))
         )
 
     def first(self, N: int) -> "Signals":
-        """The first N samples, copied: a view would hold all of them."""
+        """Return the first N samples, copied: a view would hold all of them."""
         parts: dict[str, Any] = {
             name: np.array(of[:N])
             for name in (*COLUMNS, "measured")
@@ -128,13 +128,15 @@ class Signals:
 
     @property
     def of_drives(self) -> bool:
-        """Whether efforts are objects of drives, which have internal loops."""
+        """True if efforts are objects of drives, which have internal loops."""
         return ": object " in self.provenance
 
     @cached_property
     def torque(self) -> Array:
-        """(N, n) torque of the inverse dynamic model: efforts of the drives plus known torques; on
-        straight lines where it was not measured, as an edge would ring in the rows beside it.
+        """Torque of the inverse dynamic model, (N, n): efforts of the drives plus external torques.
+
+        It follows straight lines where it was not measured, because an edge would ring in the rows
+        beside it.
         """
         tau = self.effort if self.known_torque is None else self.effort + self.known_torque
         if self.measured is None:
@@ -170,11 +172,11 @@ def signals_from_arrays(
     q_ref: ArrayLike | None = None,
     **columns: Unpack[OptionalColumns],
 ) -> Signals:
-    """Signals from arrays (N, n), which are copied, of `OPTIONAL` ones too; arguments and errors as
-    of `identification.fit`.
+    """Make signals from arrays (N, n), which are copied, those of `OPTIONAL` too.
 
-    Of a log that is faster than its robot only the new rows are taken, with a warning in `events`;
-    another is there if a velocity differs by over 10 % from the derivative of q.
+    Arguments and errors are those of `identification.fit`. If a log is faster than its robot, only
+    the new rows are taken, with a warning in `events`. There is another warning if a velocity
+    differs by more than 10 % from the derivative of q.
     """
     from acquisition.importing import grid_of_new_rows
 
@@ -234,7 +236,7 @@ def signals_from_arrays(
 
 
 def _refuse_rate(rate_hz: float) -> None:
-    """Refuse what is not one rate in Hz, such as time stamps or a period."""
+    """Refuse anything but one rate in Hz, such as timestamps or a period."""
     rate, doubt = np.asarray(rate_hz), ""
     if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1

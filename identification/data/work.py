@@ -11,15 +11,15 @@ from ..errors import BadInputError
 
 
 class Work(NamedTuple):
-    """Runs functions of modules on `workers`: so many processes, of 1 this one, or those of a
-    Dask scheduler's address.
+    """The place where functions run: `workers` processes, 1 for this one, or a Dask scheduler's
+    address.
     """
 
     workers: int | str = 1
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """The result for each tuple of positional arguments; an error of a task is raised
-        in place of its result.
+        """Return the result for each tuple of positional arguments; the error of a task is
+        raised.
         """
         if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))

@@ -271,7 +271,7 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Iterator[str]:
-    """Which torques and distances were not checked; load friction `mus`, which
+    """Which torques and distances were not checked; load-dependent friction `mus`, which
     the criterion leaves out.
     """
     if obstacles.missing:

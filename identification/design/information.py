@@ -35,7 +35,7 @@ class PriorInformation:
     Attributes:
         beta: (b,) base parameters for the torque; None if unknown.
         beta_from: their origin, in words.
-        noise: (n,) stated deviation of the torque, or None.
+        noise: (n,) given deviation of the torque, or None.
         noise_share: (n,) deviation in a fit's rows over the rms torque; None without a fit.
         payload: that a second recording of the motion will carry, to identify
             drive gains; None: none.
@@ -141,7 +141,7 @@ def torque_noise(
 ) -> tuple[Array, str]:
     """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
 
-    The stated one; else the error of a fit in percent of the torque along `motions`,
+    The given one; else the error of a fit in percent of the torque along `motions`,
     larger where rows are correlated; else a share of that torque; else 1 for each joint,
     if no parameters are known.
     """
@@ -175,7 +175,7 @@ def earlier_information(
     base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]
 ) -> Array:
     """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base`
-    without load friction.
+    without load-dependent friction.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
@@ -242,7 +242,7 @@ class Information:
         without and with the payload.
 
         X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L
-        of what is not stated of the payload. Earlier recordings do not count.
+        of what is not given of the payload. Earlier recordings do not count.
         """
         moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
         stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())

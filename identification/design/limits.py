@@ -82,8 +82,8 @@ def motion_of(x: Array, basis: Motion) -> Motion:
 class Limits:
     """Limits of a robot's motion; a share of 1 or -1 is all that may be used of a limit.
 
-    Friction with the sign of a speed (load friction too) counts at full size against the motion:
-    valid for both signs of a speed, without jumps.
+    Friction with the sign of a speed (load-dependent friction too) counts at full size against the
+    motion: valid for both signs of a speed, without jumps.
 
     Attributes:
         middle: (n,) of the joints' ranges.
@@ -182,7 +182,7 @@ class Limits:
 
 
 def _sides(shares: Array) -> Array:
-    """The sign, 1 or -1, of load friction that enlarges the shares of efforts."""
+    """The sign, 1 or -1, of load-dependent friction that enlarges the shares of efforts."""
     return np.where(shares < 0, -1.0, 1.0)
 
 

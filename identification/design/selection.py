@@ -62,7 +62,7 @@ def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTer
 
 def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
     """These terms at all joints that can have them: Stribeck friction only
-    if its speed is stated.
+    if its speed is given.
     """
     return tuple(
         frozenset(kind for kind in kinds if kind != "stribeck" or has)

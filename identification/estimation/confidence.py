@@ -35,9 +35,9 @@ class Intervals:
 
     Attributes:
         low, high: (b,) their ends.
-        sigma: (b,) deviations by equal-weighted cosines.
-        freedom: degrees of freedom of Student's t; half an interval is `reach` deviations.
-        covariance: (b, b) D R D, D the deviations `sigma`, R the formula's correlations. The
+        sigma: (b,) standard errors by equal-weighted cosines.
+        freedom: degrees of freedom of Student's t; half an interval is `reach` standard errors.
+        covariance: (b, b) D R D, D the standard errors `sigma`, R the formula's correlations. The
             cosines' own matrix has no more than `freedom` independent directions.
     """
 
@@ -49,13 +49,13 @@ class Intervals:
     covariance: Array
 
     def part(self, indices: Ints) -> "Intervals":
-        """The intervals of some of the parameters."""
+        """Return the intervals of some of the parameters."""
         of = {name: getattr(self, name)[indices] for name in ("low", "high", "sigma")}
         return replace(self, covariance=self.covariance[np.ix_(indices, indices)], **of)
 
     @cached_property
     def half(self) -> Array:
-        """(b,) half-widths."""
+        """Half-widths, (b,)."""
         return 0.5 * (self.high - self.low)
 
 
@@ -69,7 +69,7 @@ def intervals_of(
     Parameters
     ----------
     system : the rows W, Y that it was estimated from, not weighted.
-    estimate : with its weights and Q; `stated` values add their deviations.
+    estimate : with its weights and Q; `stated` values add their standard errors.
     among : the spans of time that the rows are of; by default all.
     most : cosines of a recording.
 
@@ -97,14 +97,17 @@ def intervals_of(
 
 
 def not_below_white(estimate: Estimate, found: Intervals) -> Array:
-    """Deviations (b,) of intervals no narrower than those of the covariance C of white residuals:
-    few cosines are small by chance.
+    """Return standard errors (b,) no smaller than those of the covariance C of white residuals.
+
+    A few cosines may be small by coincidence.
     """
     return np.maximum(found.sigma, NORMAL_REACH * estimate.sigma / found.reach)
 
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
-    """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
+    """Return the essential parameters of an estimate whose 95 % interval is narrower than their
+    value.
+    """
     certain = compress(estimate.names, found.half < np.abs(estimate.beta))
     return tuple(name for name in certain if name in essential.names)
 
@@ -112,20 +115,21 @@ def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> t
 def combined(
     system: System, estimate: Estimate, stated: Mapping[str, tuple[float, float]]
 ) -> Estimate:
-    """Combine an estimate x by variances with stated values a of some of its parameters.
+    """Combine an estimate x by variances with given values a of some of its parameters.
 
         x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,
-        C by equal-weighted cosines, S of what is stated
+        C by equal-weighted cosines, S of the given values
 
     Parameters
     ----------
-    system, estimate : as of `intervals_of`.
-    stated : by name of a parameter, its value and the half-width of its 95 % interval.
+    system, estimate : as in `intervals_of`.
+    given : by name of a parameter, its given value and the half-width of its 95 % interval.
 
     Returns
     -------
-    The combined estimate; itself where the rows contradict the statement (`differs`), or where no
-    stated parameter is in it.
+    The combined estimate; the estimate itself if the rows differ significantly from the given
+    values
+    (`differs`), or if it has no such parameter.
     """
     at = [estimate.names.index(name) for name in stated if name in estimate.names]
     if not at:
@@ -152,14 +156,14 @@ def combined(
 
 
 def by_rows_alone(estimate: Estimate, W: Array, Y: Array) -> Estimate:
-    """The same without what is stated, from its weighted rows."""
+    """Return the same without given values, from its weighted rows."""
     bread = np.asarray(np.linalg.inv(estimate.Q.T @ W), dtype=float)
     return replace(estimate, beta=bread @ (estimate.Q.T @ Y), bread=bread, stated=np.zeros((0, 0)))
 
 
 def differs(off: Array, covariance: Array, freedom: int) -> bool:
-    """Whether a difference (s,) of this covariance (s, s) is beyond its 95 %
-    region, by Hotelling's F.
+    """Test whether a difference (s,) of this covariance (s, s) is outside its 95 % region, by
+    Hotelling's F.
     """
     return (
         f_tail(float(off @ np.linalg.solve(covariance, off)) / len(off), len(off), freedom)
@@ -170,8 +174,11 @@ def differs(off: Array, covariance: Array, freedom: int) -> bool:
 def _by_span(
     system: System, among: Bools | None = None, most: int = MAX_COSINES
 ) -> Iterator[tuple[int, list[Ints]]]:
-    """By recording its number of cosines, at `most`, and the rows of each of its spans of time, of
-    all joints together; `among` some of the spans, no recording without any.
+    """Return by recording its number of cosines, at `most`, and the rows of each of its time
+    blocks.
+
+    The rows are those of all joints together; `among`: some of the time blocks, no recording
+    without any.
     """
     order, last = np.argsort(system.span, kind="stable"), 0
     ends = np.searchsorted(system.span[order], np.arange(sum(map(len, system.spans))))
@@ -184,7 +191,9 @@ def _by_span(
 
 
 def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
-    """Intervals of an estimate from its deviations `sigma` (b,) and their degrees of freedom."""
+    """Return intervals of an estimate from its standard errors `sigma` (b,) and their degrees of
+    freedom.
+    """
     reach = t_quantile(0.5 + LEVEL / 2, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
@@ -201,8 +210,9 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 def covariance_of_all(
     names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
 ) -> Array:
-    """C = D R D (b, b) of base parameters by their names; those that are not in the estimate are
-    zero with the deviations of `full`.
+    """Return C = D R D (b, b) of base parameters by their names.
+
+    Values of those that are not in the estimate are zero with the standard errors of `full`.
     """
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
@@ -213,7 +223,7 @@ def covariance_of_all(
 
 
 def changes_of(system: System, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
+    """Return d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
     that the estimate holds.
     """
     return np.asarray(
@@ -224,10 +234,10 @@ def changes_of(system: System, columns: Array, estimate: Estimate) -> Array:
 def deviations_of_sums(
     system: System, z: Array, rho: Array, Q: Array, common: Array | None = None
 ) -> Array:
-    """Standard deviations (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
+    """Return standard errors (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
     rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
-    deviations are corrected for what the two remove, as in `intervals_of`. `common` (r, m):
+    standard errors are corrected for what the two remove, as in `intervals_of`. `common` (r, m):
     orthonormal directions beside Q that all columns together remove, in place of one each.
     """
     own, each = z - Q @ (Q.T @ z), []  # the direction that a column adds to Q, none in its span
@@ -255,27 +265,28 @@ def deviations_of_sums(
 
 
 def _sums(x: Array, cuts: Ints) -> Array:
-    """Sums (K, k) of the rows of x (r, k) between borders (K + 1,)."""
+    """Return sums (K, k) of the rows of x (r, k) between borders (K + 1,)."""
     found, full = np.zeros((len(cuts) - 1, x.shape[1])), np.diff(cuts) > 0
     found[full] = np.add.reduceat(x, cuts[:-1][full])
     return found
 
 
 def deviations(scores: Array, B: int) -> Array:
-    """Standard deviations (b,) of the sums of scores (K, b) in order of time, by the B
-    cosines of lowest frequency.
+    """Return standard errors (b,) of the sums of scores (K, b) in order of time, by the B cosines
+    of lowest frequency.
     """
     return np.asarray(np.sqrt(((_family(B, len(scores)) @ scores) ** 2).mean(axis=0)))
 
 
 def _share(found: Array, whole: Array) -> Array:
-    """Share (m,) of the variance of the sums z'e, e white, that the cosines find in the residuals.
+    """Return the share (m,) of the variance of the sums z'e, e white, that the cosines find in the
+    residuals.
 
     `found` (m,) is what they find, `whole` (m,) the sums of z² over all rows; for an estimate z is
     Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A cosine's L =
     a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as slow as the
-    cosines lose more of it than d of r rows: on the TX40 up to a third of the deviation, where d/r
-    is a fortieth.
+    cosines lose more of it than d of r rows: on the TX40 up to a third of the standard error, where
+    d/r is a fortieth.
     """
     # a recording may not excite a parameter
     share = np.divide(found, whole, out=np.ones_like(found), where=whole > 0)
@@ -283,13 +294,14 @@ def _share(found: Array, whole: Array) -> Array:
 
 
 def _family(B: int, T: int) -> Array:
-    """sqrt(2) cos(pi k (t + 1/2)/T), k = 1 to B: (B, T)."""
+    """Return sqrt(2) cos(pi k (t + 1/2)/T), k = 1 to B, shape (B, T)."""
     k, t = np.arange(1, B + 1)[:, None], np.arange(T)
     return np.asarray(np.sqrt(2) * np.cos(np.pi * k * (t + 0.5) / T))
 
 
 def cosines(T: int, most: int = MAX_COSINES) -> int:
-    """Number of cosines for T instants: enough to measure the spread, few enough to
-    stay at low frequencies, at `most` as many.
+    """Return the number of cosines for T instants, at `most` as many.
+
+    They are enough to measure the spread, and few enough to stay at low frequencies.
     """
     return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, most))

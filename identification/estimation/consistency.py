@@ -37,7 +37,7 @@ MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value; with less the barrier i
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicalParameters:
-    """Conditions of a physical robot on standard parameters chi (p,).
+    """Conditions of a physically consistent model on standard parameters chi (p,).
 
     Attributes:
         links: (L, 10) columns of XX XY XZ YY YZ ZZ MX MY MZ M of each link.
@@ -54,8 +54,9 @@ class PhysicalParameters:
     matrices: tuple[Array, ...] = ()
 
     def within(self, K: Array) -> tuple[Ints, "PhysicalParameters"]:
-        """Columns (k,) of chi that K (b, p) or a link has, and the conditions on these: further
-        friction terms, which a fit has left out, are zero.
+        """Return the columns (k,) of chi that K (b, p) or a link has, and the conditions on these.
+
+        Further friction terms, which a fit has left out, are zero.
         """
         kept = np.union1d(np.flatnonzero(K.any(axis=0)), self.links)
         # `take` keeps the order in memory, and so the last digits where all are kept.
@@ -75,8 +76,8 @@ class Consistent:
     Attributes:
         chi: (p,) standard parameters; `beta` = K chi (b,).
         chi_squared: (beta - estimate)' C⁻¹ (beta - estimate).
-        deviations: (b,) move of each parameter, in deviations.
-        decrement: Newton decrement at chi, the certificate.
+        deviations: (b,) change of each parameter, in standard errors.
+        decrement: Newton decrement at chi, which certifies the optimum.
     """
 
     chi: Array
@@ -95,13 +96,16 @@ def consistent_parameters(
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
 ) -> Consistent:
-    """The parameters that meet the conditions `physical`, nearest to an estimate beta
-    (b,) = K chi (K regroups).
+    """Find the parameters that meet the conditions `physical`, nearest to an estimate beta (b,) = K
+    chi.
 
-    Its covariance is C = D R D (b, b): the formula's correlations, the intervals' deviations.
-    `gamma` is the weight of the links' prior, `gamma_x` that of the barrier of the
-    combinations over it. Raises `NoFitError` where the optimum is not reached, as with an
-    estimate that is not finite.
+    K regroups. The covariance is C = D R D (b, b): the formula's correlations, the intervals'
+    standard errors. `gamma` is the weight of the links' prior, `gamma_x` that of the barrier of the
+    combinations over it.
+
+    Raises
+    ------
+    NoFitError : the optimum is not reached, as with an estimate that is not finite.
     """
     root, (kept, physical) = _inverse_root(beta, covariance), physical.within(K)
     K, p = K.take(kept, axis=1), K.shape[1]
@@ -139,13 +143,13 @@ def parameter_certainty(
     *,
     gamma: float = GAMMA,
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Deviations, and variances relative to the prior, of the standard parameters (p,) and of
-    the base parameters (b,).
+    """Return standard errors, and variances relative to the prior, of the standard parameters (p,)
+    and of the base parameters (b,).
 
-    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and
-    rotors. Those of base parameters include the square of their move from the estimate. The
-    relative variance is that over the prior's alone, from 0 to 1; 0 where there is no prior, as
-    for offsets and friction.
+    Standard errors are those of Laplace: the inverse Hessian at the optimum without the barrier of
+    friction and rotors. Those of base parameters include the square of their change from the
+    estimate. The relative variance is that over the prior's alone, from 0 to 1; 0 where there is no
+    prior, as for offsets and friction.
     """
     whole, (kept, physical) = np.zeros((2, K.shape[1])), physical.within(K)
     b, p = (K := K.take(kept, axis=1)).shape
@@ -162,8 +166,8 @@ def parameter_certainty(
 
 
 def _variances(J: Array, rows: Array) -> Array:
-    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very
-    large where J is singular.
+    """Return the diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very large
+    if J is singular.
     """
     d = np.linalg.norm(J, axis=0)
     values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
@@ -186,7 +190,9 @@ class _Objective:
         gamma: float,
         gamma_x: float,
     ) -> None:
-        """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
+        """Store the problem; `root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹
+        r.
+        """
         self._target, self._A = root @ beta, root @ K
         self._x, self._gamma_x = physical.combinations, gamma_x
         # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s,
@@ -203,7 +209,7 @@ class _Objective:
         )
 
     def value(self, chi: Array) -> float:
-        """Infinite outside."""
+        """Return the function at chi, infinite outside."""
         x, rho = self._x @ chi, self._A @ chi - self._target
         try:
             roots = self._roots(chi)
@@ -218,8 +224,8 @@ class _Objective:
         return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
-        """Gradient (p,), and J (r, p) of the Hessian J'J, whose own
-        condition is that of J squared.
+        """Return the gradient (p,), and J (r, p) of the Hessian J'J, whose own condition is that of
+        J squared.
         """
         g, parts = self._A.T @ (self._A @ chi - self._target) + self._pull, [self._A]
         for (columns, basis, weight), L in zip(self._cones, self._roots(chi), strict=True):
@@ -239,7 +245,9 @@ class _Objective:
         return g, np.concatenate([*parts, np.sqrt(self._gamma_x) * inverse])
 
     def reach(self, chi: Array, step: Array) -> float:
-        """The multiple of a step at which a P_j, an X_k or an x_i becomes singular or zero."""
+        """Return the multiple of a step at which a P_j, an X_k or an x_i becomes singular or
+        zero.
+        """
         lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
         for (columns, basis, _), L in zip(self._cones, self._roots(chi), strict=True):
             back = np.linalg.inv(L)
@@ -248,7 +256,7 @@ class _Objective:
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
     def _roots(self, chi: Array) -> list[Array]:
-        """Cholesky factors (L, s, s) of the P_j and X_k; an error where one is not positive
+        """Return Cholesky factors (L, s, s) of the P_j and X_k; raise if one is not positive
         definite.
         """
         return [
@@ -258,8 +266,8 @@ class _Objective:
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float]:
-    """Minima for decreasing covariances, each started from the one before: the last
-    and its decrement.
+    """Minimise for decreasing covariances, each started from the one before; return the last
+    minimum and its decrement.
     """
     chi, decrement = _minimum(problem(MAX_SOFTENING), chi)
     softer, factor = MAX_SOFTENING, MAX_FACTOR
@@ -276,7 +284,7 @@ def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Arr
 
 
 def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
-    """Newton steps from chi: the end and the decrement there."""
+    """Take Newton steps from chi; return the end and the decrement there."""
     step, decrement = _newton_step(*objective.derivatives(chi))
     for _ in range(MAX_STEPS):
         going = MAX_DECREMENT < decrement < np.inf
@@ -289,7 +297,7 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
 
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
-    """Share of a Newton step that stays inside and decreases the function enough; 0
+    """Return the share of a Newton step that stays inside and decreases the function enough; 0
     where rounding leaves none.
     """
     value, length = objective.value(chi), min(1.0, MAX_BOUNDARY_SHARE * objective.reach(chi, step))
@@ -302,7 +310,7 @@ def _length(objective: _Objective, chi: Array, step: Array, decrement: float) ->
 
 
 def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
-    """The Newton step (p,) and its decrement; columns of J are scaled to one."""
+    """Return the Newton step (p,) and its decrement; columns of J are scaled to one."""
     d = np.linalg.norm(J, axis=0)
     d = np.where(d > 0, d, 1.0)
     try:
@@ -314,8 +322,9 @@ def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
 
 
 def _inverse_root(beta: Array, covariance: Array) -> Array:
-    """A root (b, b) of C⁻¹, through the correlations; deviations are bounded below
-    for the barrier's sake.
+    """Return a root (b, b) of C⁻¹, through the correlations.
+
+    Standard errors have a lower bound for the sake of the barrier.
     """
     sigma = np.sqrt(np.diag(covariance))
     own = np.where(sigma > 0, sigma, 1.0)
@@ -332,15 +341,16 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
 
 
 def pseudo_inertia(parameters: Array) -> Array:
-    """Pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10):
-    [[tr(I)/2 1 - I, h], [h', M]].
+    """Return pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10).
+
+    [[tr(I)/2 1 - I, h], [h', M]]
     """
     return np.asarray(np.tensordot(parameters, BASIS, axes=1))
 
 
 def link_parameters(P: Array) -> Array:
-    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the
-    inverse of `pseudo_inertia`.
+    """Return XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4), the inverse
+    of `pseudo_inertia`.
     """
     second, (rows, columns) = P[..., :3, :3], np.triu_indices(3)
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second

@@ -20,11 +20,16 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 def torque_errors(
     tau: Array, predicted: Array, counts: Bools, joints: Sequence[tuple[str, str]]
 ) -> tuple[TorqueResidual, ...]:
-    """Torque errors of each of the `joints`, by name and unit, and, last and under the name `all`,
-    of all joints together.
+    """Return the torque errors of each of the `joints`, and, last and named `all`, of all joints
+    together.
 
-    Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not
-    known), in the rows (rows, n) that count in a fit.
+    Parameters
+    ----------
+    tau, predicted : (rows, n) measured and predicted torque, N m or N; A or V if the drive gain is
+        not
+        known.
+    counts : (rows, n) mask of the rows that count in a fit.
+    joints : name and unit of each joint.
     """
     rho, found = tau - predicted, list[TorqueResidual]()
     each = [(*of, tau[:, j], rho[:, j], counts[:, j]) for j, of in enumerate(joints)]
@@ -47,15 +52,14 @@ def torque_errors(
 
 
 def are_moving(speed: Array) -> Bools:
-    """Where joints move: faster than 2 % of their peak speed.
-
-    `speed` and the result are (rows, n).
+    """Return a mask (rows, n) of the joints in motion: faster than 2 % of their peak `speed` (rows,
+    n).
     """
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
 def autocorrelation(rho: Array) -> float | None:
-    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are
+    """Return the autocorrelation of residuals (rows,) or (rows, n) at one row; None if they are
     zero.
     """
     r, following = rho[:-1].ravel(), rho[1:].ravel()
@@ -64,15 +68,15 @@ def autocorrelation(rho: Array) -> float | None:
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:
-    """100 |rho| / |tau| of residual and torque in the same unit and shape; None
-    where the torque is zero.
+    """Return 100 |rho| / |tau| of residual and torque in the same unit and shape; None if the
+    torque is zero.
     """
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
 def relative_residual(W: Array, Y: Array) -> float:
-    """Residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
+    """Return the residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
     W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
     return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))
 
@@ -90,8 +94,8 @@ def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
 
 
 def autoregression(x: Array, order: int) -> Array:
-    """Coefficients (order,) that predict x (T,) from what came before, by Yule and Walker;
-    zeros where x is zero.
+    """Return coefficients (order,) that predict x (T,) from its past, by Yule and Walker; zeros if
+    x is zero.
     """
     r = np.array([x[k:] @ x[: len(x) - k] for k in range(order + 1)])
     if not r[0] > 0:
@@ -101,7 +105,7 @@ def autoregression(x: Array, order: int) -> Array:
 
 
 def f_tail(F: float, dropped: float, freedom: float) -> float:
-    """Probability that a value of the F distribution with `dropped` and `freedom`
+    """Return the probability that a value of the F distribution with `dropped` and `freedom`
     degrees of freedom exceeds F.
     """
     # F may be below 0 by rounding
@@ -110,12 +114,12 @@ def f_tail(F: float, dropped: float, freedom: float) -> float:
 
 @cache
 def t_quantile(p: float, freedom: float) -> float:
-    """Quantile p > 1/2 of Student's t distribution with `freedom` degrees of freedom."""
+    """Return the quantile p > 1/2 of Student's t distribution with `freedom` degrees of freedom."""
     return _root(lambda t: f_tail(t * t, 1.0, freedom) - 2.0 * (1.0 - p))
 
 
 def chi_squared_quantile(tail: float, freedom: int) -> float:
-    """Value exceeded with the probability `tail` in the chi-squared distribution with
+    """Return the value exceeded with the probability `tail` in the chi-squared distribution with
     `freedom` degrees of freedom.
     """
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
@@ -124,9 +128,10 @@ def chi_squared_quantile(tail: float, freedom: int) -> float:
 def f_test(
     names: tuple[str, ...], F: float, dropped: int, rows: float, b: int, correlation: float
 ) -> FTest:
-    """The test of F for `dropped` of b parameters, also corrected for the residual's
-    correlation c at a lag of one row: by the share (1 - c)/(1 + c) of independent rows, all for a
-    negative c.
+    """Test F for `dropped` of b parameters, also corrected for the residual's autocorrelation c at
+    one row.
+
+    The correction counts the share (1 - c)/(1 + c) of rows as independent, all for a negative c.
     """
     c = max(0.0, correlation)
     share = (1.0 - c) / (1.0 + c)
@@ -140,7 +145,7 @@ def f_test(
 
 
 def _chi_squared_tail(x: float, freedom: int) -> float:
-    """By repeated integration by parts from 1 or 2 degrees of freedom."""
+    """Return the tail by repeated integration by parts from 1 or 2 degrees of freedom."""
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
     return tail + sum(
@@ -150,8 +155,8 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:
-    """The regularised incomplete beta function I_x(a, b), by its continued fraction (Abramowitz and
-    Stegun 26.5.8, Lentz).
+    """Return the regularised incomplete beta function I_x(a, b), by its continued fraction
+    (Abramowitz and Stegun 26.5.8, Lentz).
     """
     if x <= 0.0 or x >= 1.0:
         return float(x >= 1.0)
@@ -174,7 +179,7 @@ def _incomplete_beta(a: float, b: float, x: float) -> float:
 
 
 def _root(decreasing: Callable[[float], float]) -> float:
-    """The zero of a decreasing function of x > 0, by bisection down to rounding."""
+    """Find the zero of a decreasing function of x > 0, by bisection down to rounding."""
     low, high = 0.0, 1.0
     while decreasing(high) > 0.0:
         low, high = high, 2.0 * high

@@ -47,14 +47,15 @@ class Estimate:
         covariance: (b, b) by the formula, which assumes white residuals.
         weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: of W; `condition_number_scaled`: of the weighted W
-            with columns of norm one.
-        rows: r, the number of decimated samples over all joints, the sum of the
-            squares of their weights.
+        condition_number: that of W.
+        condition_number_scaled: that of the weighted W with columns of norm one.
+        rows: r, the number of decimated samples over all joints, the sum of the squares of their
+            weights.
         Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal
-            columns that span W, or Z.
-        stated: (b, s) moves by one deviation of each of the s stated values that it is combined
-            with (`confidence.combined`).
+            columns
+            that span W, or Z.
+        given: (b, s) changes by one standard deviation of each of the s given values that it is
+            combined with (`confidence.combined`).
     """
 
     names: tuple[str, ...]
@@ -71,21 +72,23 @@ class Estimate:
 
     @cached_property
     def sigma(self) -> Array:
-        """(b,) standard deviations by the formula."""
+        """Classical standard errors by the formula, (b,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def sigma_percent(self) -> Array:
-        """(b,) standard deviations in percent of the values; infinite for a value of zero."""
+        """Classical standard errors in percent of the values, (b,); infinite for a value of
+        zero.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(100.0 * self.sigma / np.abs(self.beta))
 
     def without_rows(self) -> "Estimate":
-        """The same without Q, which is as large as W."""
+        """Return the same without Q, which is as large as W."""
         return replace(self, Q=self.Q[:0].copy())
 
     def part(self, indices: Ints) -> "Estimate":
-        """The estimate of some of the parameters, of which the others remain estimated."""
+        """Return the estimate of some of the parameters, of which the others remain estimated."""
         return replace(
             self,
             names=tuple(self.names[i] for i in indices),
@@ -96,7 +99,7 @@ class Estimate:
         )
 
     def values_of(self, names: tuple[str, ...]) -> Array:
-        """Values of `names`, zero for those not estimated."""
+        """Return the values of `names`, zero for those not estimated."""
         found = dict(zip(self.names, self.beta, strict=True))
         return np.array([found.get(name, 0.0) for name in names])
 
@@ -122,15 +125,15 @@ def ordinary_least_squares(system: System) -> Estimate:
 
 
 def weighted_least_squares(system: System, weights: Array | None = None) -> Estimate:
-    """Solve the rows by least squares, those of joint j divided by s_j, by default the residual
-    deviation of its own least squares.
+    """Solve the rows by least squares, those of joint j divided by s_j.
 
         min |S (Y - W beta)|²,     S = 1/s_j in rows of joint j                          (B)
 
     Parameters
     ----------
     system : rows W (r, b) and Y (r,), Y in N m or N.
-    weights : (n,) 1/s_j, 1/(N m) or 1/N, if they are known.
+    weights : (n,) 1/s_j, 1/(N m) or 1/N, if they are known. By default s_j is the residual standard
+        deviation of the joint's own least squares.
 
     Returns
     -------
@@ -172,7 +175,7 @@ def weights_of(system: System, rho: Array) -> Array:
 
 
 def _reciprocal(s: Array) -> Array:
-    """1/s_j: a joint that stands without torque must not outweigh all others."""
+    """Return 1/s_j, limited: a joint at rest without torque must not outweigh all others."""
     s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
@@ -190,7 +193,7 @@ def essential_parameters(
     ----------
     system : rows of all base parameters.
     full : their estimate, whose weights are used.
-    correlation : of the residual at a lag of one row, -1 to 1.
+    correlation : of the residual at a delay of one row, -1 to 1.
     ratio : of the largest to the smallest %sigma that is kept.
 
     Returns
@@ -251,7 +254,9 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
 
 def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estimate:
-    """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
+    """Solve by least squares, or with instruments Z (r, b), not weighted, by instrumental
+    variables.
+    """
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
         raise NoFitError(
@@ -286,8 +291,10 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
 
 
 def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
-    """beta (b,) of (QᵀW) beta = QᵀY; bread of beta - beta_true = bread Qᵀ rho; |Y - W beta|;
-    cond(QᵀW), columns scaled.
+    """Solve (QᵀW) beta = QᵀY for beta (b,).
+
+    Return also bread of beta - beta_true = bread Qᵀ rho, |Y - W beta|, and cond(QᵀW) with scaled
+    columns.
     """
     d = _norms(W)
     A = Q.T @ W / d  # upper triangular where Q spans W
@@ -297,7 +304,7 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
 
 
 def _covariance(bread: Array, residual_norm: float, rows: float) -> Array:
-    """C (b, b) = s² bread breadᵀ; of `rows` samples."""
+    """Return C (b, b) = s² bread breadᵀ for `rows` samples."""
     return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
 
 

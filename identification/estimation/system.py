@@ -28,16 +28,18 @@ RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 
 def equal_spans(instants: int) -> Ints:
-    """The first instant (count + 1,) of each of the spans of so many instants, and the end of the
-    last: instant t is in span t count // instants. A span has an instant at least.
+    """Return the first instant (count + 1,) of each time block, and the end of the last.
+
+    Instant t is in block t count // instants. Each block has at least one instant.
     """
     count = min(FINE_SPANS if instants <= SHORT else SPANS, instants)
     return np.asarray(-(-np.arange(count + 1) * instants // count))
 
 
 def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
-    """The span of each of the `instants` (K,) of recordings with these `spans`, all counted one
-    after the other. Instants after the end are in the last span.
+    """Return the time block of each of the `instants` (K,) of recordings with these blocks.
+
+    All blocks are counted one after the other. Instants after the end are in the last block.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
     return np.concatenate(
@@ -50,8 +52,10 @@ def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class System:
-    """Y = W beta + rho, equations (5) and (6) of Janot2014: the weighted rows that count, stacked
-    joint by joint, or R factors of them by span of time, which have the same products.
+    """Y = W beta + rho, equations (5) and (6) of Janot2014.
+
+    It holds the weighted rows that count, stacked joint by joint, or R factors of them by time
+    block, which have the same products.
 
     Attributes:
         W: (r, b) regressor.
@@ -59,8 +63,8 @@ class System:
         joint_of_row: (r,) joint index of each row, ascending.
         names: (b,) parameters.
         rows: (n,) samples per joint, the sum of the squares of their weights.
-        span: (r,) span of each row, counted through all recordings.
-        spans: of each recording the first instant of its spans, and the end of the last.
+        span: (r,) time block of each row, counted through all recordings.
+        spans: of each recording the first instant of its time blocks, and the end of the last.
     """
 
     W: Array
@@ -73,7 +77,7 @@ class System:
 
     @classmethod
     def whole(cls, W: Array, Y: Array, joint_of_row: Ints, names: tuple[str, ...]) -> "System":
-        """A system of samples, one instant after the other at each joint."""
+        """Return the system of samples, one instant after the other at each joint."""
         rows = np.bincount(joint_of_row)
         spans = equal_spans(int(rows.max()))
         return cls(
@@ -90,12 +94,12 @@ class System:
         )
 
     def part(self, rows: Bools) -> "System":
-        """The system of some of its rows (r,)."""
+        """Return the system of some of its rows (r,)."""
         of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}
         return replace(self, **of)
 
     def with_columns(self, columns: Ints) -> "System":
-        """The same system for some of its parameters."""
+        """Return the same system for some of its parameters."""
         return (
             self
             if len(columns) == len(self.names)
@@ -103,18 +107,22 @@ class System:
         )
 
     def weighted(self, weights: Array) -> tuple[Array, Array]:
-        """W (r, b) and Y (r,) with rows of joint j times `weights` (n,)."""
+        """Return W (r, b) and Y (r,) with rows of joint j times `weights` (n,)."""
         w = weights[self.joint_of_row]
         return self.W * w[:, None], self.Y * w
 
 
 class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
-    """Rows of a recording, such as [Z J r], by joint and span of time: by joint and place the rows,
-    and twice their span, one more for fast ones. Those of blocks are made apart, and then added.
+    """Rows of a recording, such as [Z J r], by joint and time block.
 
-    Where a span has more rows than columns it keeps their R factor, A = Q R: it has the same
-    products of columns, hence the same least squares and instrumental variables, and avoids the
-    loss of digits of squared sums. A half of a recording is half of its spans; several recordings
+    They hold by joint and place the rows, and twice their block, one more for fast ones. Those of
+    blocks are
+    made apart, and then added. Where a time block has more rows than columns it keeps their R
+    factor, A = Q R:
+    it has the same products of columns, hence the same least squares and instrumental variables,
+    and avoids
+    the loss of digits of squared sums. A half of a recording is half of its time blocks; several
+    recordings
     stand one after the other.
     """
 
@@ -122,8 +130,10 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
     def of_block(
         cls, instants: int, first: int, A: Array, share: Array, fast: Bools | None = None
     ) -> "SpanRows":
-        """The rows A (n, columns, K) of the instants from `first` on, of so many `instants` in all,
-        by their weights `share` (n, K), 0 for rows that do not count. Rows that are `fast` (n, K)
+        """Make the rows A (n, columns, K) of the instants from `first` on, of so many `instants` in
+        all.
+
+        `share` (n, K) are their weights, 0 for rows that do not count. Rows that are `fast` (n, K)
         have factors of their own.
         """
         at, found = np.arange(first, first + A.shape[2]), cls()
@@ -149,8 +159,10 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
             self[key] = rows, kind
 
     def rows(self, share: Array) -> tuple[Array, Bools, dict[str, Any]]:
-        """The rows (r, columns), joint by joint in the order of time, which are fast (r,), and how
-        they follow: the further attributes of a `System`. Once only.
+        """Return the rows (r, columns), joint by joint in the order of time, and which are fast
+        (r,).
+
+        The further attributes of a `System` follow. It can be called only once.
         """
         each = sorted(self)
         lengths, columns = [len(self[key][1]) for key in each], self[each[0]][0].shape[1]
@@ -170,7 +182,9 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
 
 
 def _reduced(rows: Array) -> Array:
-    """The rows (r, columns) of a joint, which depends on some columns only, or their R factor."""
+    """Return the rows (r, columns) of a joint, which depends on some columns only, or their R
+    factor.
+    """
     own = rows.any(axis=0)
     if len(rows) <= own.sum():
         return rows
@@ -181,18 +195,20 @@ def _reduced(rows: Array) -> Array:
 
 
 def spans_of(parts: Sequence[int]) -> list[slice]:
-    """The instants of each recording within those of all."""
+    """Return the instants of each recording within those of all."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *parts]))]
 
 
 def by_joint(systems: Sequence[System]) -> Ints:
-    """The places (r,) of the rows of recordings one after the other, stacked joint by joint."""
+    """Return the places (r,) of the rows of recordings one after the other, stacked joint by
+    joint.
+    """
     return np.argsort(np.concatenate([s.joint_of_row for s in systems]), kind="stable")
 
 
 def stacked(systems: Sequence[System]) -> System:
-    """The system of several recordings of the same parameters, rows stacked joint by
-    joint, in the order given.
+    """Stack the rows of several recordings of the same parameters joint by joint, in the order
+    given.
     """
     order, ends = by_joint(systems), np.cumsum([sum(len(x) - 1 for x in s.spans) for s in systems])
     W, Y, joint_of_row, span = (
@@ -212,8 +228,10 @@ def stacked(systems: Sequence[System]) -> System:
 
 
 def r_factor(A: Array) -> Array:
-    """R (c, c) of A (r, c) = Q R, by blocks that fit into the cache (TSQR: Demmel, Grigori,
-    Hoemmen, Langou, SIAM J. Sci. Comput. 34 (2012)): three times as fast for long A.
+    """Return R (c, c) of A (r, c) = Q R, by blocks that fit into the cache.
+
+    This is TSQR: Demmel, Grigori, Hoemmen, Langou, SIAM J. Sci. Comput. 34 (2012). It is three
+    times as fast for long A.
     """
     r, c = A.shape
     blocks = r // _BLOCK_ROWS
@@ -235,7 +253,7 @@ def release_memory(beside: Array) -> None:
 
 
 def orthonormal(A: Array) -> Array:
-    """Orthonormal columns (r, c) that span the independent columns of A (r, c): A R⁻¹."""
+    """Return orthonormal columns (r, c) that span the independent columns of A (r, c): A R⁻¹."""
     if len(A) < 2 * _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A)[0])
     release_memory(A)
@@ -246,15 +264,20 @@ def orthonormal(A: Array) -> Array:
 
 
 def inverse_factor(A: Array) -> tuple[Array, float]:
-    """R⁻¹ (c, c) of A (r, c) = Q R, and the condition number of R with columns of norm one."""
+    """Return R⁻¹ (c, c) of A (r, c) = Q R, and the condition number of R with columns of norm
+    one.
+    """
     R = r_factor(A)
     d = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
     return np.asarray(np.linalg.pinv(R / d) / d[:, None]), float(np.linalg.cond(R / d))
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
-    """Singular values of the column-scaled W; an error names the parameters that are not excited
-    or not distinguishable.
+    """Return the singular values of the column-scaled W, or refuse it.
+
+    Raises
+    ------
+    NoFitError : it names the parameters that are not excited or not distinguishable.
     """
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
@@ -274,16 +297,16 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
 
 
 def undetermined_parameters(W: Array, names: tuple[str, ...]) -> list[str]:
-    """Names of the parameters that the rows W (r, b) do not determine: not excited
-    or not distinguishable.
+    """Return names of the parameters that the rows W (r, b) do not determine: not excited or not
+    distinguishable.
     """
     unexcited, collinear, _ = _undetermined(W, names)
     return [name for name in names if name in (*unexcited, *collinear)]
 
 
 def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str], Array]:
-    """Parameters not excited, parameters not distinguishable, and the singular values
-    of the column-scaled W.
+    """Return parameters not excited, parameters not distinguishable, and the singular values of the
+    column-scaled W.
     """
     R = r_factor(W)
     norms = np.linalg.norm(R, axis=0)

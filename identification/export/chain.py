@@ -185,7 +185,7 @@ class Chain:
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: what is odd in the inertials.
-        has_inertials: whether they are a-priori values: masses of all joints, none impossible.
+        has_inertials: whether they are a priori values: masses of all joints, none impossible.
         bandwidth_hz: of the position loops; not part of a URDF.
         torque_sensors: whether these are the source of the recorded efforts.
     """
@@ -363,7 +363,7 @@ def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
 def _check_inertials(
     tree: UrdfTree, rigid: Mapping[str, Sequence[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """A note that there are no a-priori values, where joints move no mass or inertials are
+    """A note that there are no a priori values, where joints move no mass or inertials are
     negative; notes on moments that violate the triangle inequality: these can be simulated.
     """
     negative, notes, masses = list[str](), list[str](), dict.fromkeys(rigid, 0.0)

@@ -113,7 +113,8 @@ def _coupled(term: dynamics.JointTerm) -> bool:
 
 def random_regressor(m: ExportedModel) -> Array:
     """The regressor (N, n, p) at states that are uniform within the limits of the joints, by
-    default ±pi, ±1, ±5; its columns of load friction use the links' torque of these parameters.
+    default ±pi, ±1, ±5; its columns of load-dependent friction use the links' torque of these
+    parameters.
     """
     rng, joints, motion = np.random.default_rng(SEED), m.model.robot.joints, list[Array]()
     for quantity, default in DEFAULT_LIMITS.items():

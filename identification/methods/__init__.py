@@ -2,7 +2,7 @@
 
     Model, Unknowns, Equation    the recordings of a fit, x of all of them, and the terms of each
     Rows                         [Z J r] about x, of equation (C)
-    Simulated, Pass              Z of the simulated robot, and the estimate of one pass
+    Simulated, Pass              Z of the simulated robot, and the estimate of one iteration
     Solution                     the estimate, and the inputs of its tests
 
 `idim.solve` has all of it on one screen. It may use `trust` and the rooms below.

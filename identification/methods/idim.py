@@ -44,15 +44,15 @@ def solve(
     overrides : settings that replace those of the description; `Overrides()` for none.
     method : `iv`, instrumental variables; `wls`, least squares with rows weighted by joint; `ols`,
         without weights. Default: `iv` if every recording has its reference, else `wls`.
-    iteration : of `iv`: start of the passes, and when they end.
+    iteration : of `iv`: start of the iterations, and when they end.
     essential : fit only the essential parameters.
     say : called with a line of text for each step.
 
     Returns
     -------
     The solution, with the inputs of its tests. The status of least squares is `solved`; that of
-    `iv` is `converged` only if two passes agree and the robot simulated with the estimate follows
-    the recording, or if instruments of the reference alone suffice.
+    `iv` is `converged` only if two iterations agree and the robot simulated with the estimate
+    follows the recording, or if instruments of the reference alone suffice.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
 
 
 def _can_be_simulated(model: Model, found: Pass) -> bool:
-    """Whether a robot can be simulated: always with described gains; with those of a solution only
+    """Whether a robot can be simulated: always with given gains; with those of a solution only
     if they are positive, and references recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
@@ -170,7 +170,8 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference,
     same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
-    decimated as W, finds the lag L of the torque by the same instruments, and solves for beta_k+1.
+    decimated as W, finds the delay L of the torque by the same instruments, and solves for
+    beta_k+1.
     """
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:

@@ -1,5 +1,5 @@
-"""The passes of the instrumental variable method: what is simulated first and next, one pass, and
-which pass is returned.
+"""The passes of the instrumental variable method: what is simulated first and next, one iteration,
+and which pass is returned.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,10 +37,14 @@ MIN_F = 1.0  # of the first stage: with less, instruments explain nothing of W
 class Iteration:
     """Settings of the iteration.
 
-    `start`: `regular` (only a regular inertia matrix), `ls`, or the name of the source of the
-        base parameters `values`.
-    `tolerance_percent`, `max_iterations`: in place of the keys of robot.toml. `inertias` (n,) are
-    those of the regular start, 1 kg m² (or kg) by default.
+    Attributes:
+        start: `regular` (unit inertias, a regular inertia matrix only), `ls`, or the name of the
+            source
+            of the base parameters `values`.
+        tolerance_percent, max_iterations: in place of the keys of robot.toml.
+        values: (b,) base parameters to start from.
+        inertias: (n,) inertias of the regular start, 1 kg m² (or kg) by default.
+        gain_update: True to adapt controller gains to each estimate, equation (E).
     """
 
     start: str = "ls"
@@ -56,21 +60,25 @@ class Iteration:
 
 
 class Loop:
-    """The passes of a fit, prepared: they start at a solution by least squares.
+    """The prepared iterations of a fit, which start at a solution by least squares.
 
     Attributes:
         model: recordings and unknowns.
-        start: least squares, whose weights are used; `x`: (p,) its values; `ls`: the same, or
-            that of the essential parameters if only these are estimated; `essential`: their test.
-        iteration: settings of the passes.
+        start: least squares, whose weights are used.
+        x: (p,) its values.
+        ls: the same, or that of the essential parameters if only these are estimated.
+        essential: their test.
+        iteration: settings of the iterations.
         robots: prepared for simulations.
         measured: speed, and largest torques, of all recordings.
         fitted: places of the unknowns that are estimated.
-        most, tolerance_percent: of the passes.
+        most, tolerance_percent: limits of the iterations.
     """
 
     def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
-        """From least squares; `essential`: only such parameters are estimated."""
+        """Prepare the iterations from least squares; `essential`: only such parameters are
+        estimated.
+        """
         self.model, self.iteration = model, iteration
         self.measured = start.kept.speed, start.kept.most
         start, ls, self.essential = solution_of(model, start, essential=essential)
@@ -98,21 +106,22 @@ class Loop:
 
     @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
     def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
-        """Make one pass: simulate, find the lag, estimate, and compare with the values before.
+        """Make one iteration: simulate, find the delay, estimate, and compare with the values
+        before.
 
             Z = F[w IDM(q_s, dq_s, ddq_s)],     x_k+1 = x_k + (Z'J)⁻¹ Z'r(x_k)           (D), (C)
 
         Parameters
         ----------
-        before : the passes before, from least squares on.
+        before : the iterations before, from least squares on.
         x : (p,) values x_k, about which the rows are.
         asked : values (p,) to simulate and their covariance (f, f), None for exactly these values;
             None in place of both: the motion that the reference predicts.
 
         Returns
         -------
-        The pass. It has settled if the residual norm changes by at most the tolerance, and each
-        parameter by at most the tolerance or half its deviation.
+        The pass. It has converged if the residual norm changes by at most the tolerance, and each
+        parameter by at most the tolerance or half its standard error.
 
         Raises
         ------
@@ -161,7 +170,9 @@ class Loop:
         )
 
     def covariance(self, one: Pass) -> Array:
-        """C = D R D (f, f) of a pass, of what it did not estimate that of least squares."""
+        """Return C = D R D (f, f) of an iteration; parameters that it did not estimate have that of
+        least squares.
+        """
         return covariance_of_all(self.model.names, one.estimate, one.intervals, self.start.estimate)
 
 
@@ -169,7 +180,7 @@ def start_values(loop: Loop) -> Asked:
     """Return the values (p,) that are simulated first, and their covariance (f, f).
 
     They are x of least squares; or a regular start (covariance None) or given values, which do not
-    give the torques by which a lag is found.
+    give the torques by which a delay is found.
     """
     problem, how, repeated = loop.model.problem, loop.iteration, loop.model.unknowns.repeated
     if how.start == "regular":
@@ -179,9 +190,9 @@ def start_values(loop: Loop) -> Asked:
 
 
 def next_values(loop: Loop, passes: Sequence[Pass]) -> tuple[Array, Asked]:
-    """Return x (p,) about which the rows of the pass after these are, and what is asked of it.
+    """Return x (p,) about which the rows of the iteration after these are, and what is asked of it.
 
-    Both are the estimate x_k+1, or from the fourth pass on its mean with x_k, which damps
+    Both are the estimate x_k+1, or from the fourth iteration on its mean with x_k, which damps
     oscillation; after least squares what is asked is the start.
     """
     last = passes[-1]
@@ -195,21 +206,21 @@ def next_values(loop: Loop, passes: Sequence[Pass]) -> tuple[Array, Asked]:
 def with_lags_found(
     rows: Rows, lags: Sequence[Lag], number: int
 ) -> tuple[Rows, tuple[Lag, ...], bool]:
-    """Find the lag L of each group of recordings from the rows of the lag and what is known.
+    """Find the delay L of each group of recordings from the rows of the delay and what is known.
 
         tau(t - L) = tau(t) - L dtau/dt                                                  (G)
 
     Parameters
     ----------
-    rows : [C Z J r] about the last lags, with rows of the lag; unchanged where it has none.
+    rows : [C Z J r] about the last delays, with rows of the delay; unchanged where it has none.
     lags : as found so far, with what is known of each.
-    number : of the pass. In the first one rows of the lag are whitened by the residuals of least
-        squares, which have the lag in them, so its lags have not settled unless stated. From the
-        fourth pass on a lag takes half its step, as values do.
+    number : of the iteration. In the first one rows of the delay are whitened by the residuals of
+        least squares, which have the delay in them, so its delays have not settled unless given.
+        From the fourth iteration on a delay takes half its step, as values do.
 
     Returns
     -------
-    The rows about the new lags, to first order; these lags, s; and whether they have settled: the
+    The rows about the new lags, to first order; these delays, s; and whether they have settled: the
     whole step of each is less than a quarter of a sample.
     """
     if rows.late is None:
@@ -225,8 +236,8 @@ def with_lags_found(
 
 
 def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated, ...]]:
-    """Choose the pass that is returned: the last one if it settled, else the one whose estimate,
-    simulated in the next pass, tracks best at its worst joint.
+    """Choose the iteration that is returned: the last one if it converged, else the one whose
+    estimate, simulated in the next iteration, tracks best at its worst joint.
 
     Parameters
     ----------
@@ -235,8 +246,8 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated,
 
     Returns
     -------
-    That pass with its rows, about the last lags; and by recording the robot simulated with its
-    estimate, or with the values that it settled at.
+    That pass with its rows, about the last delays; and by recording the robot simulated with its
+    estimate, or with the values that it converged at.
 
     Raises
     ------
@@ -263,11 +274,11 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated,
 
 
 def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pass | None:
-    """Make a pass along the motion that the reference predicts, without a simulated robot, in place
-    of the `best` of those that `ended`.
+    """Make a iteration along the motion that the reference predicts, without a simulated robot, in
+    place of the `best` of those that `ended`.
 
     Returns None unless all references are recorded, no control law is described, the simulated
-    robot confirms no other pass, and these instruments suffice alone.
+    robot confirms no other iteration, and these instruments suffice alone.
     """
     (status, why), described = ended, any(one.controller == "described" for one in best.z)
     if status == "converged" or described or not loop.model.exogenous:
@@ -283,8 +294,8 @@ def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pa
 
 
 def _tracking(z: Sequence[Simulated]) -> float:
-    """Position error of the worst joint, percent; infinite where the estimate
-    itself was not simulated.
+    """Return the position error of the worst joint, percent; infinite if the estimate itself was
+    not simulated.
     """
     if any(one.kind != "simulated" for one in z):
         return np.inf
@@ -292,7 +303,7 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
 
 def tests_of(one: Pass) -> tuple[float, float]:
-    """Return strength and first-stage F of the instruments of a pass."""
+    """Return strength and first-stage F of the instruments of a iteration."""
     system, estimate = one.kept.system, one.estimate
     places = [system.names.index(name) for name in estimate.names]
     W, _ = system.with_columns(np.array(places)).weighted(estimate.weights)
@@ -300,8 +311,8 @@ def tests_of(one: Pass) -> tuple[float, float]:
 
 
 def inertia_prior(model: Model, x: Array) -> Array:
-    """Return x (p,) for whose inertias the controller gains are assumed to be set, the a-priori
-    inertias of equation (E): least squares behind a low-pass, that of errors if the fit has none,
+    """Return x (p,) for whose inertias the controller gains are assumed to be set, the a priori
+    inertias of equation (E): least squares after a low-pass, that of errors if the fit has none,
     as the inertias are poorly determined without.
     """
     with suppress(NoFitError):  # too few rows behind it

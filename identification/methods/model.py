@@ -46,15 +46,18 @@ Asked = tuple[Array, Array | None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
-    """The recordings of a fit, in the order of their digests, so that sums do not depend on the
-    order given; read-only.
+    """The recordings of a fit in the order of their digests, so that sums do not depend on the
+    given order.
+
+    It is read-only.
 
     Attributes:
-        problems: the recordings with their settings, from `overrides`; `laws`: the control law
-            that each shows.
+        problems: the recordings with their settings, from `overrides`.
+        laws: the control law that each shows.
         work: where their tasks run.
         order: places of the recordings in the order given.
-        unknowns: x; `lags`: of each group of recordings as known without a fit.
+        unknowns: x.
+        lags: delay of each group of recordings as known without a fit.
         left_out: friction terms left out, each with the reason.
     """
 
@@ -69,22 +72,24 @@ class Model:
 
     @property
     def problem(self) -> Problem:
-        """That of the recording given first; all have the same robot, model and base parameters."""
+        """Problem of the recording given first; all have the same robot, model and base
+        parameters.
+        """
         return self.problems[self.order[0]]
 
     @property
     def recordings(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the recordings."""
         return tuple(problem.signals.recording for problem in self.problems)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the free unknowns, the first of x."""
+        """Names of the free unknowns, the first of x."""
         return self.unknowns.names
 
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
-        """Of each recording."""
+        """Equation of motion of each recording."""
         work = self.work if len(self.problems) == 1 else HERE
         return tuple(
             equation_of(one, self.unknowns, k, work) for k, one in enumerate(self.problems)
@@ -92,23 +97,26 @@ class Model:
 
     @cached_property
     def load(self) -> Ints:
-        """Places of the parameters of load friction in x."""
+        """Places of the parameters of load-dependent friction in x."""
         base = self.problem.base.names
         names = [base[place] for term in self.equations[0].load for place in term.places]
         return np.array([self.names.index(name) for name in names], dtype=np.intp)
 
     @property
     def exogenous(self) -> bool:
-        """Whether all references are recorded: else instruments have the noise of positions."""
+        """True if all references are recorded: otherwise instruments contain the noise of
+        positions.
+        """
         return all(problem.signals.q_ref is not None for problem in self.problems)
 
     def start(self) -> Array:
-        """x (p,) of nothing but described gains and known lags."""
+        """Return x (p,) with only given drive gains and known delays."""
         return self.unknowns.start([lag.value_s for lag in self.lags])
 
     def x_of(self, estimate: Estimate, x: Array) -> Array:
-        """x with the values of an estimate; those of the free unknowns that it lacks are zero,
-        gains stay.
+        """Return x with the values of an estimate.
+
+        Free unknowns that the estimate lacks are zero; gains stay.
         """
         found = x.copy()
         found[: len(self.names) - len(self.unknowns.motors)] = 0.0
@@ -116,7 +124,7 @@ class Model:
         return found
 
     def concluded(self, x: Array) -> tuple[Problem, ...]:
-        """The problems with the lags and gains of x."""
+        """Return the problems with the delays and gains of x."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
         return tuple(
             replace(problem, settings=replace(problem.settings, lag=lag), gains=kappa)
@@ -126,15 +134,17 @@ class Model:
         )
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
-        """The results of a task for each recording: of several on the workers of the fit."""
+        """Return the results of a task for each recording, of several on the workers of the fit."""
         tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
         return _run(self.work, task, tasks)
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
     ) -> tuple[Candidates, ...]:
-        """By recording the terms that are not in the model, about x, along the measured or the
-        simulated motion, by what is `measured` of all: speed (rows, n), `most` of `Rows`.
+        """Return by recording the terms that are not in the model, about x.
+
+        They are along the measured or the simulated motion, by what is `measured` of all: speed
+        (rows, n), `most` of `Rows`.
         """
         speed, most = measured
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
@@ -154,7 +164,7 @@ class Model:
         )
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
-        """[C Z J r] of all recordings about x, along the measured motion."""
+        """Return [C Z J r] of all recordings about x, along the measured motion."""
         return stacked_rows(
             self.run(
                 rows_of_recording,
@@ -163,7 +173,7 @@ class Model:
         )
 
     def combined(self, system: System, estimate: Estimate) -> Estimate:
-        """An estimate from these rows, combined with the stated centres of mass."""
+        """Return an estimate from these rows, combined with the given centres of mass."""
         for payload in self.unknowns.payloads:
             estimate = combined(system, estimate, payload.stated)
         return estimate
@@ -175,13 +185,13 @@ class Model:
         by_recording: bool = False,
         judged: bool = False,
     ) -> tuple[Array, Array, Bools, list[Array], list[Ints]]:
-        """Decimated torque (rows, n) as measured by x, as predicted by each set of estimates
-        (K, rows, n), which rows (rows, n) count, by recording their instants, s, and the row of the
-        fit at or after each.
+        """Return the decimated torque (rows, n) as measured by x, and as predicted by each set of
+        estimates.
 
-        Predicted by x if there is no set; by several estimates of a set, each in equal spans of a
-        recording, or in one recording. Those that are `judged` are behind the filters that errors
-        are told behind.
+        The prediction is (K, rows, n). Also return a mask of the rows (rows, n) that count, by
+        recording their instants, s, and the row of the fit at or after each. The prediction is by x
+        if there is no set; by several estimates of a set, each in equal parts of a recording, or in
+        one recording. Those that are `judged` have the filters of torque errors.
         """
         values = [[self.x_of(one, x) for one in estimates] for estimates in sets]
         each = [
@@ -206,17 +216,17 @@ class Model:
         )
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
-        """The torque (rows, n) that x, or an estimate, predicts."""
+        """Return the torque (rows, n) that x, or an estimate, predicts."""
         return np.asarray(self.torques(x, *([one] for one in estimate))[1][0])
 
     @cached_property
     def for_errors(self) -> "Model":
-        """The same behind the filters behind which torque errors are told."""
+        """The same with the filters of torque errors."""
         return replace(self, problems=tuple(one.for_errors for one in self.problems))
 
     def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
-        """What prepares each recording for simulations; the loops have the gains of x, and are set
-        for its inertias.
+        """Prepare each recording for simulations; the loops have the gains of x, and are set for
+        its inertias.
         """
         each = [
             partial(
@@ -242,11 +252,11 @@ class Model:
         *,
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
-        """[C Z J r] of all recordings about x, and by recording along whose motion: that of the
-        robot simulated with what is asked; if nothing is asked, that which the reference predicts.
+        """Return [C Z J r] of all recordings about x, and by recording along whose motion.
 
-        With what is `measured` of all, as of `candidates`, there are the columns of terms
-        that are not in the model; `of_lag`: with rows of the lag, equation (G).
+        The motion is that of the robot simulated with what is `asked`; if nothing is, that which
+        the reference predicts. With what is `measured` of all, as in `candidates`, there are the
+        columns of terms that are not in the model; `of_lag`: with rows of the delay, equation (G).
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none
@@ -259,8 +269,9 @@ class Model:
         return z, stacked_rows(each)
 
     def without(self, left_out: dict[str, str]) -> "Model":
-        """The same without friction terms that are regrouped with nothing;
-        `left_out` has the reasons.
+        """Return a copy without the given friction terms, which are regrouped with nothing.
+
+        `left_out` maps each removed term to the reason.
         """
         if not left_out:
             return self
@@ -274,7 +285,7 @@ class Model:
         return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":
-        """The same recordings with other ramps of the weights of samples."""
+        """Return the same recordings with another weight taper."""
         return replace(
             self,
             overrides=replace(self.overrides, ramp_rows=ramp_rows),
@@ -300,7 +311,7 @@ def model_of(
     work: Work,
     order: tuple[int, ...],
 ) -> Model:
-    """The model of recordings."""
+    """Make the model of recordings."""
     names, wanted = [m.name for m in problems[0].signals.robot.motors], overrides.gains or ()
     motors = tuple(map(names.index, names if "all" in wanted else dict.fromkeys(wanted)))
     unknowns = make_unknowns(problems, motors, ("Fv", "Fc") if wanted else ())
@@ -336,8 +347,10 @@ def with_common_rate(
     overrides: Overrides,
     most: float,
 ) -> tuple[list[Problem], list[FoundLaw | None]]:
-    """The recordings and their laws with common cut-off, rate of rows and filters of the errors;
-    only those whose cut-off or rate changes are read again.
+    """Return the recordings and their control laws with common cut-off, rate of rows and filters of
+    the errors.
+
+    Only those whose cut-off or rate changes are read again.
     """
     settings = [problem.settings for problem, _ in found]
     rates = [problem.signals.sample_rate_hz for problem, _ in found]
@@ -361,9 +374,13 @@ def with_common_rate(
 
 
 def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressCallback) -> Model:
-    """The model of one recording or several, each filtered and decimated separately: with the
-    lowest cut-off and rate of rows that the rules give. Raises `BadInputError` if the recordings
-    are not of one robot, and as `make_problem`.
+    """Read the model of one recording or several, each filtered and decimated separately.
+
+    The cut-off and the rate of rows are the lowest that the rules give.
+
+    Raises
+    ------
+    BadInputError : the recordings are not of one robot, or as in `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))

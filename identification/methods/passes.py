@@ -21,22 +21,28 @@ def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One pass of the instrumental variable method, or least squares, from which passes start; only
-    the last one keeps arrays as large as W.
+    """One iteration of the instrumental variable method, or least squares, from which iterations
+    start.
+
+    Only the last one keeps arrays as large as W.
 
     Attributes:
-        x: (p,) values before it, with the lags found.
-        rows: about x, with the instruments; `z`: by recording, the robot simulated for them.
+        x: (p,) values before it, with the estimated delays.
+        rows: about x, with the instruments.
+        z: by recording, the robot simulated for them.
         estimate: of the free unknowns, and its `intervals`.
-        lags: found, with what is known.
-        is_consistent: whether the rows are about these lags, and the values simulated.
-        change_in_sigma: (f,) of each parameter by the pass, in its deviations; empty of least
-            squares. `change_percent`: the largest, of parameters above two deviations.
-        residual_change_percent: of the residual norm by the pass, over the same rows; None if it
-            is within the tolerance. `parameters_settled`: whether that of every parameter is.
+        lags: estimated delays, with what is known.
+        is_consistent: True if the rows are about these delays, and about the simulated values.
+        change_in_sigma: (f,) change of each parameter, in its standard errors; empty for least
+            squares.
+        change_percent: the largest change, of parameters above two standard errors.
+        residual_change_percent: change of the residual norm over the same rows; None if it is
+            within
+            the tolerance.
+        parameters_settled: True if every parameter is within the tolerance.
         number: counted from 1; least squares is 0.
         by_reference: why no simulated robot confirms others, so that its instruments, of kind
-            `reference`, stand alone: one solution; None where they do not.
+            `reference`, suffice alone; None if they do not.
         tau_predicted: (rows, n) decimated torque of the estimate; of least squares alone.
     """
 
@@ -56,7 +62,7 @@ class Pass:
     tau_predicted: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def without_rows(self) -> "Pass":
-        """The same without arrays as large as W."""
+        """Return the same without arrays as large as W."""
         if self.rows is None:
             return self
         return replace(
@@ -68,49 +74,49 @@ class Pass:
 
     @property
     def kept(self) -> Rows:
-        """Its rows, of the last pass or least squares, which keep them."""
+        """Rows of the last iteration or of least squares, which keep them."""
         assert self.rows is not None
         return self.rows
 
     @property
     def change_sigma(self) -> float:
-        """The largest change of a parameter in its deviations."""
+        """Largest change of a parameter in its standard errors."""
         return float(self.change_in_sigma.max())
 
     @property
     def changed(self) -> str:
-        """The parameter that changes most, in its deviations."""
+        """Parameter that changes most, in its standard errors."""
         return self.estimate.names[int(self.change_in_sigma.argmax())]
 
     @property
     def kind(self) -> InstrumentKind:
-        """The kind of its instruments, as of `Simulated`: of several recordings the worst, which
-        is the last.
+        """Kind of its instruments, as in `Simulated`; of several recordings the worst, which is the
+        last.
         """
         return max((one.kind for one in self.z), key=get_args(InstrumentKind).index)
 
     @property
     def reason(self) -> str | None:
-        """Why its instruments are not those of the robot asked; None if they are."""
+        """Reason why its instruments are not those of the requested robot; None if they are."""
         return self.by_reference or join_reasons([(one.recording, one.reason) for one in self.z])
 
     @property
     def gains(self) -> Array:
-        """Factors on the controllers' gains, n for each recording."""
+        """Gain correction factors of the controllers, n for each recording."""
         return np.concatenate([one.gains for one in self.z])
 
     @property
     def tracking_percent(self) -> float | None:
-        """The largest error of the simulated position; None if a robot was not simulated."""
+        """Largest error of the simulated position; None if a robot was not simulated."""
         percents = [x for one in self.z if (x := one.percent) is not None]
         return max(percents) if len(percents) == len(self.z) else None
 
     @property
     def settled(self) -> bool:
-        """Whether both tests hold."""
+        """True if both tests hold."""
         return self.residual_change_percent is None and self.parameters_settled
 
     @property
     def is_last(self) -> bool:
-        """Whether it and its lags settled, at the robot that was simulated."""
+        """True if it and its delays converged, at the robot that was simulated."""
         return self.settled and self.is_consistent

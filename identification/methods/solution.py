@@ -1,6 +1,6 @@
 """The solution of a method: the estimate with the inputs of its tests. With instruments also how
-the passes ended, and whether the simulated robot confirms the estimate; of least squares the test
-for position noise, by simulation and extrapolation.
+the iterations ended, and whether the simulated robot confirms the estimate; of least squares the
+test for position noise, by simulation and extrapolation.
 """
 
 from collections.abc import Sequence
@@ -58,19 +58,24 @@ MAX_BIAS = ((1.0, 1.0), (0.5, 5.0))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """What a method found, before its tests.
+    """A solution of the method, before its tests.
 
     Attributes:
-        model: recordings and unknowns; `x`: (p,) the values of the estimate.
-        inputs: of the tests.
-        least_squares: that of the fit itself or, of `iv`, weighted least squares of the same
-            recordings and settings; `essential`: the parameters that are essential by it.
+        model: recordings and unknowns.
+        x: (p,) the values of the estimate.
+        inputs: inputs of the tests.
+        least_squares: the fit itself or, for `iv`, weighted least squares of the same recordings
+            and
+            settings.
+        essential: the parameters that are essential by it.
         simulated: by recording, the robot simulated with the estimate; none after least squares.
-        status: `solved` by least squares; `reason`: of another one, None for `converged` with
-            instruments of a simulated robot.
-        passes: of the instrumental variable method, in order, from a `start` as of `Iteration`.
-            `returned` is the number, counted from 1, of the one whose estimate this is.
-        strength: of the instruments, as of `estimation.first_stage`.
+        status: `solved` by least squares.
+        reason: reason of another status, None for `converged` with instruments of a simulated
+            robot.
+        passes: iterations of the instrumental variable method, in order, from a `start` as in
+            `Iteration`.
+        returned: the number, counted from 1, of the iteration whose estimate this is.
+        strength: of the instruments, as in `estimation.first_stage`.
         method_reason: why this method.
     """
 
@@ -97,8 +102,10 @@ def inputs_of(
     full: Estimate,
     essential: FTest,
 ) -> TrustInputs:
-    """Inputs of the trust tests of a solution and its x (p,), with the columns of candidates in
-    its rows; `full`, `essential`: least squares of all parameters, and those essential by it.
+    """Return the inputs of the tests of a solution and its x (p,).
+
+    They have the columns of candidates in its rows; `full`, `essential`: least squares of all
+    parameters, and those essential by it.
     """
     estimate, unknowns, rows = solved.estimate, model.unknowns, solved.kept
     candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
@@ -127,7 +134,9 @@ def inputs_of(
 def counted_lags(
     model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
-    """The lags with their recordings, and the moves of an estimate by one deviation of each."""
+    """Return the delays with their recordings, and the changes of an estimate by one standard error
+    of each.
+    """
     moves, names = changes_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
     return tuple(
         replace(lag, moved=lag.sd_s * np.abs(move), recordings=tuple(names[k] for k in group))
@@ -138,8 +147,9 @@ def counted_lags(
 def intervals_with_given_uncertainty(
     model: Model, estimate: Estimate, rows: Rows, lags: Sequence[Lag]
 ) -> Intervals:
-    """Intervals that include how well lags, stated drive gains, masses, and centres of mass
-    that are not estimated are known, which the estimate holds.
+    """Return intervals that include the uncertainty of values that the estimate holds.
+
+    These are delays, given drive gains, masses, and centres of mass that are not estimated.
     """
     of, found = model.unknowns, intervals_of(rows.system, estimate)
     moved = [lag.moved for lag in lags]
@@ -161,8 +171,10 @@ def solution_by_instruments(
     ended: tuple[Status, str | None],
     tests: tuple[float, float],
 ) -> Solution:
-    """The solution of the pass that is returned with the robot that confirms it, how the passes
-    `ended`, from least squares on and without rows, and the `tests` of its instruments.
+    """Return the solution of the iteration that is returned, with the robot that confirms it.
+
+    `ended` says how the iterations ended, from least squares on and without rows; `tests` are those
+    of its instruments.
     """
     (best, confirmed), model = concluded, loop.model
     x = model.x_of(best.estimate, best.x)
@@ -196,12 +208,13 @@ def status_of(
     first_stage_F: float,
     failure: str | None,
 ) -> tuple[Status, str | None]:
-    """`converged` needs settled passes, simulated instruments that explain W, and a simulation
-    that tracks the recording; or instruments along the motion that the reference predicts which
-    stand alone, and explain W.
+    """Return the status of the iterations, and its reason.
 
-    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot
-    would hide a joint of small travel. `failure`: why the pass after the last gave no estimate.
+    `converged` needs converged iterations, simulated instruments that explain W, and a simulation
+    that tracks the recording; or instruments along the motion that the reference predicts which
+    suffice alone, and explain W. Other converged iterations are `not_confirmed`. Every joint has to
+    track: the mean over the robot would hide a joint of small travel. `failure`: why the iteration
+    after the last gave no estimate.
     """
     best, confirmed = concluded
     if failure is not None:
@@ -232,7 +245,7 @@ def status_of(
 
 
 def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:
-    """Why the simulation with the final estimate does not confirm it; None if it does."""
+    """Return why the simulation with the final estimate does not confirm it; None if it does."""
     x = model.x_of(best.estimate, best.x)
     reasons = [
         (one.problem.signals.recording, why_not_simulated(one.problem, one.arm, x))
@@ -252,7 +265,7 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
 
 
 def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
-    """Largest errors of the simulated robot in any recording, by joint; none if one
+    """Return the largest errors of the simulated robot in any recording, by joint; none if one
     could not be simulated.
     """
     return tuple(
@@ -266,21 +279,21 @@ def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
 
 
 def largest(percents: list[float | None]) -> float | None:
-    """The largest that is not None: a joint may stand in one recording, or have no torque."""
+    """Return the maximum, ignoring None (a joint that does not move, or has no torque)."""
     return max((x for x in percents if x is not None), default=None)
 
 
 def position_noise_line(
     problem: Problem, method: Method, ls: Pass, essential: FTest, *, alone: bool
 ) -> TrustResult | None:
-    """Bias of least squares by position noise, in half-widths.
+    """Test for bias of least squares by position noise, in half-widths.
 
     Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric
     measurement error models, JASA 89 (1994). Noise with the spectrum found above the low-pass is
-    added over the whole band, with both signs; the mean of the two moves is, to first order, the
+    added over the whole band, with both signs; the mean of the two changes is, to first order, the
     bias by the noise within the band.
 
-    `alone`: `ls` has only this recording, without load friction.
+    `alone`: `ls` has only this recording, without load-dependent friction.
     """
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
@@ -316,7 +329,7 @@ def position_noise_line(
 
 
 def _reason_against(problem: Problem) -> str | None:
-    """Why the noise cannot be estimated; None if it can."""
+    """Return why the noise cannot be estimated; None if it can."""
     settings, signals = problem.settings, problem.signals
     if settings.cutoff_hz is None:
         return POSITION_NOISE.part("no low-pass")
@@ -326,11 +339,10 @@ def _reason_against(problem: Problem) -> str | None:
 
 
 def _noise_like(problem: Problem) -> Array:
-    """Noise (N, n) with the spectrum of the positions well above low-pass and motion: white, or
-    the AR(1) that fits it.
+    """Return noise (N, n) with the spectrum of the positions well above low-pass and motion.
 
-    Rounding and most encoders give white noise. Noise that falls with frequency is larger below
-    the low-pass than above.
+    It is white, or the AR(1) that fits it. Rounding and most encoders give white noise. Noise that
+    falls with frequency is larger below the low-pass than above.
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
     q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
@@ -356,7 +368,7 @@ def _noise_like(problem: Problem) -> Array:
 
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
-    """With the weights of samples as they are."""
+    """Return the problem with added noise, and with unchanged weights of samples."""
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
@@ -365,7 +377,9 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 
 def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
-    """Least squares of the recording with the parameters `of` another, without load friction."""
+    """Solve least squares of the recording with the parameters of another, without load-dependent
+    friction.
+    """
     system = rows_of_recording(*equation_alone(problem)).system
     known = np.isin(system.names, [*map(base_name, of.names)]) & system.W.any(axis=0)
     return solver_of(method)(system.with_columns(np.flatnonzero(known)))

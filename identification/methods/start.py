@@ -1,12 +1,12 @@
-"""Least squares, equation (B): the start of the passes, and a method of its own.
+"""Least squares, equation (B): the start of the iterations, and a method of its own.
 
     x <- x + (Z'J)^-1 Z'r,   Z = J
 
 but the instruments of drive gains are the torques that x predicts (I), as the recorded ones are
 noisy: least squares is biased towards gains of 0. A friction term whose column is nearly a sum of
-others is left out, with a message; so is load friction whose interval contains 0, before the first
-step. Gains and load friction take several steps, which end when no parameter changes by more than
-a thousandth of its deviation.
+others is left out, with a message; so is load-dependent friction whose interval contains 0, before
+the first step. Gains and load-dependent friction take several steps, which end when no parameter
+changes by more than a thousandth of its standard error.
 
 The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method:
 long ones keep noise above the low-pass out of the rows, short ones leave more of short moves. Those
@@ -52,7 +52,7 @@ LONG, SHORT, *OTHERS = RAMPS
 
 
 def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Model, Pass]:
-    """Solve by least squares, equation (B), from rows about nothing but described gains.
+    """Solve by least squares, equation (B), from rows about nothing but given gains.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def at_gains(model: Model, found: Pass) -> Pass:
 
 
 def solver_of(method: Method) -> Callable[[System], Estimate]:
-    """Least squares by the method, with rows weighted by joint unless it is `ols`."""
+    """Return least squares by the method, with rows weighted by joint unless it is `ols`."""
     return ordinary_least_squares if method == "ols" else weighted_least_squares
 
 
@@ -116,7 +116,7 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
 
         x + (Z'J)⁻¹ Z'r(x),     Z = J, or for drive gains the torque that x predicts     (C), (I)
 
-    Returns the estimate of the free unknowns after the step, combined with stated centres of mass.
+    Returns the estimate of the free unknowns after the step, combined with given centres of mass.
     Raises `NoFitError` as the estimators do.
     """
     if model.unknowns.motors:
@@ -129,13 +129,13 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
 
 
 def settle(model: Model, rows: Rows, method: Method) -> Pass:
-    """Take steps of equation (C) until none is above a thousandth of a deviation.
+    """Take steps of equation (C) until none is above a thousandth of a standard error.
 
         x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
 
     c is halved while the next step would change more torque than this one. Both are compared with
     the weights of the step before, because those of least squares rise as the residual falls.
-    Without load friction and gains one step is enough.
+    Without load-dependent friction and gains one step is enough.
 
     The values to start from are those about which the `rows` are. Returns the last step. Raises
     `NoFitError` as `step_of`.
@@ -170,7 +170,7 @@ def settle(model: Model, rows: Rows, method: Method) -> Pass:
 
 
 def _torque(rows: Rows, step: Array, weights: Array) -> float:
-    """|J step| with `weights` (n,): the torque that a step moves."""
+    """Return the weighted norm of J @ step, the torque change caused by a step."""
     W = rows.system.weighted(weights)[0]
     return float(np.linalg.norm(W @ step[: W.shape[1]]))
 
@@ -224,7 +224,9 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
 
 
 def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array]:
-    """The model without load friction that may be zero about x, the least certain first, and x."""
+    """Leave out load-dependent friction that may be zero about x, the least certain first; return
+    model and x.
+    """
     arm, left_out = model.rows(x).of(model.unknowns.arm), dict[str, str]()
     names = [model.names[i] for i in model.load]
     while names := [name for name in names if name not in left_out]:
@@ -247,8 +249,10 @@ def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array
 
 
 def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
-    """The model without the friction terms, other than load friction, whose columns are nearly a
-    sum of others; and its rows.
+    """Leave out friction terms whose columns are nearly a sum of others; return the model and its
+    rows.
+
+    Load-dependent friction is kept.
     """
     kinds = zip(model.problem.base.names, model.problem.kinds, strict=True)
     shapes = [name for name, kind in kinds if kind in SHAPES and kind != "load"]
@@ -261,7 +265,7 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
 
 
 def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
-    """The most collinear of these parameters and a message; {} if none exceeds the limit.
+    """Return the most collinear of these parameters and a message; {} if none exceeds the limit.
 
     That is the one with the smallest share of its column's norm that is independent of the other
     columns, in the rows used.
@@ -289,7 +293,7 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
     parameters.
 
     No weights, but rows in which joints move, are tried where moves are short; abrupt weights where
-    no ramps determine the parameters. Unchanged where no sample stands, or the ramps are stated.
+    no ramps determine the parameters. Unchanged where no sample stands, or the ramps are given.
 
     `instruments`: half-widths are those of instruments along the motion that the reference
     predicts, not of least squares. Returns the model with these ramps, and its rows about the
@@ -330,8 +334,10 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
 
 
 def _half_widths(model: Model, rows: Rows, *, along: bool) -> dict[str, float]:
-    """Half-widths by parameter, without load friction, of least squares or of the instruments
-    `along` another motion; {} where parameters are undetermined.
+    """Return half-widths by parameter, without load-dependent friction; {} if parameters are
+    undetermined.
+
+    They are those of least squares or of the instruments `along` another motion.
     """
     with suppress(NoFitError):
         model, rows = leave_out_collinear_terms(model, rows)

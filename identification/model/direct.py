@@ -61,20 +61,22 @@ class DirectModel:
     offset: Array
 
     def inertia(self, q: Array) -> Array:
-        """Inertia matrices (N, n, n) at the positions q (N, n)."""
+        """Return inertia matrices (N, n, n) at the positions q (N, n)."""
         M = np.empty((len(q), *self.rotor.shape))
         for k, qk in enumerate(np.ascontiguousarray(q)):
             M[k] = pin.crba(self.rigid, self.data, qk)
         return symmetric(M) + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Upper triangle of M (n, n) without rotors, and h (n,) without friction, at one state."""
+        """Return the upper triangle of M (n, n) without rotors, and h (n,) without friction, at one
+        state.
+        """
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
         return pin.crba(self.rigid, self.data, q), bias
 
     def lone_bias(self) -> Callable[[float], float]:
-        """h of a lone joint, without friction, as a function of its position:
-        a + b cos q + c sin q.
+        """Return h of a lone joint, without friction, as a function of its position: a + b cos q +
+        c sin q.
         """
         ahead, up, behind = (
             self.inertia_and_bias(q, np.zeros(1))[1].item()
@@ -90,7 +92,8 @@ class DirectModel:
         return bias if b or c else lambda q: a
 
     def gravity(self, q: Array, along: Array | None = None) -> Array:
-        """Torques (N, n) that hold the robot at rest at the positions q (N, n), without friction.
+        """Return torques (N, n) that hold the robot at rest at the positions q (N, n), without
+        friction.
 
         `along` (3,) replaces the description's gravity, m/s².
         """
@@ -108,11 +111,10 @@ class DirectModel:
         dq_sign: Array | None = None,
         rigid: Array | None = None,
     ) -> Array:
-        """Torque (N, n) along a motion q, dq, ddq (N, n); `rigid` (N, n) that of the
-        links, where it is known.
+        """Return the torque (N, n) along a motion q, dq, ddq (N, n).
 
-        `dq_sign` (N, n), such as a reference without noise, gives the signs of
-        friction instead of dq.
+        `rigid` (N, n) is that of the links, where it is known. `dq_sign` (N, n), such as a
+        reference without noise, gives the signs of friction instead of dq.
         """
         rigid = self.torques_of_links(q, dq, ddq) if rigid is None else rigid
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
@@ -124,8 +126,8 @@ class DirectModel:
     def torques_of_links(
         self, q: Array, dq: Array, ddq: Array, gravity: Array | None = None
     ) -> Array:
-        """tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces
-        the description's, m/s².
+        """Return tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces the
+        description's, m/s².
         """
         rigid = self.rigid
         if len(q) > _ONE_BY_ONE * q.shape[1]:
@@ -139,13 +141,16 @@ class DirectModel:
         return np.array([pin.rnea(rigid, self.data, *state) for state in states]).reshape(q.shape)
 
     def without_sliding(self, dq: Array, ddq: Array) -> Array:
-        """Torque (..., n) of rotors, offsets and friction without the sign of a speed."""
+        """Return the torque (..., n) of rotors, offsets and friction without the sign of a
+        speed.
+        """
         one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def shape(self, u: Array, rigid: Array) -> Array:
-        """Size (..., c) of further friction at speeds u (..., c), not negative, and links' torques
-        `rigid` (..., c) along the directions.
+        """Return the size (..., c) of further friction at speeds u (..., c), not negative.
+
+        `rigid` (..., c) are the links' torques along the directions.
         """
         load = np.abs(rigid)
         return sum(
@@ -154,7 +159,7 @@ class DirectModel:
         )
 
     def steepness(self, u: Array) -> Array:
-        """Slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
+        """Return slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
         return sum(
             (
                 x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0)
@@ -164,7 +169,9 @@ class DirectModel:
         )
 
     def largest_shape(self, u: Array) -> Array:
-        """Maximum (c,) of the resisting shapes up to the speeds u (c,), without load friction."""
+        """Return the maximum (c,) of the resisting shapes up to the speeds u (c,), without load-
+        dependent friction.
+        """
         return sum(
             (
                 np.maximum(
@@ -177,7 +184,7 @@ class DirectModel:
 
     @property
     def load_friction(self) -> Array:
-        """Load friction (n,) of the joints per link torque."""
+        """Load-dependent friction of the joints per link torque, (n,)."""
         factor = self.shapes["load"][0] if "load" in self.shapes else np.zeros(len(self.directions))
         return np.asarray(factor @ self.directions)
 
@@ -188,10 +195,11 @@ def direct_model_of_base(dynamics: InverseModel, base: BaseParameters, beta: Arr
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
-    """The equation of motion (1) of a robot with standard parameters chi (p,), SI.
+    """Return the equation of motion (1) of a robot with standard parameters chi (p,), SI.
 
-    Load friction depends on the torque of chi's links; with `BaseParameters.standard_parameters`
-    these include the rotor inertias that are regrouped with links' parameters.
+    Load-dependent friction depends on the torque of chi's links; with
+    `BaseParameters.standard_parameters` these include the rotor inertias that are regrouped with
+    links' parameters.
     """
     assert len(chi) == dynamics.p
     n, rigid = dynamics.robot.n, dynamics.model.copy()
@@ -241,13 +249,14 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
 
 
 def symmetric(M: Array) -> Array:
-    """Full matrices (..., n, n) from the upper triangles that pinocchio fills."""
+    """Return full matrices (..., n, n) from the upper triangles that pinocchio fills."""
     return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)
 
 
 def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
-    """A function that solves A x = b for x (n,), of the upper triangle of A (n, n); its x is
-    None if A is not positive.
+    """Return a function that solves A x = b for x (n,) from the upper triangle of A (n, n).
+
+    Its x is None if A is not positive.
     """
     factors = eigenpy.LLT(n)
 
@@ -259,22 +268,23 @@ def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
 
 
 def poses_of(q: Array) -> Array:
-    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the
-    inertia matrix M is checked.
+    """Return some 300 positions (P, n) of a trajectory q (N, n), evenly spaced.
+
+    At these the inertia matrix M is checked.
     """
     return np.array(q[:: max(1, len(q) // _POSES)])
 
 
 def inertias(M: Array) -> Array:
-    """J (n,) in kg m² or kg: each joint's largest diagonal entry of the
-    inertia matrices M (P, n, n).
+    """Return J (n,) in kg m² or kg: each joint's largest diagonal entry of the inertia matrices M
+    (P, n, n).
     """
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
 def why_not_positive(M: Array) -> str | None:
-    """Why not all inertia matrices M (P, n, n) of a trajectory are positive
-    definite; None if they are.
+    """Return why not all inertia matrices M (P, n, n) of a trajectory are positive definite; None
+    if they are.
     """
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
@@ -286,12 +296,13 @@ def why_not_positive(M: Array) -> str | None:
 def regressor_gradient(
     model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
 ) -> tuple[Array, Array, Array]:
-    """Gradients (N, n) by q, dq and ddq, the `motion`, each (N, n), of sum(G * W): W (N, n, b) is
-    the regressor of the base parameters, G (N, n, b) constant.
+    """Return gradients (N, n) by q, dq and ddq of sum(G * W).
 
-    A criterion of W, in the search of exciting references, depends on the motion through G = d
-    criterion / d W. A row of W times any parameters is a torque: row j of sample k times G[k, j] is
-    the torque at joint j of a robot that has the numbers G[k, j] as its parameters. So
+    The `motion` q, dq, ddq is (N, n) each; W (N, n, b) is the regressor of the base parameters, G
+    (N, n, b) is constant. A criterion of W, in the search of exciting references, depends on the
+    motion through G = d criterion / d W. A row of W times any parameters is a torque: row j of
+    sample k times G[k, j] is the torque at joint j of a robot that has the numbers G[k, j] as its
+    parameters. So
 
         d/dq sum(G * W) = sum_j d/dq tau_j(q, dq, ddq; G[k, j])
 
@@ -315,8 +326,8 @@ def regressor_gradient(
 
 
 def _split(model: InverseModel, base: BaseParameters, dq: Array, G: Array) -> tuple[Array, Array]:
-    """G as parameters of links (N, n, n, 10) by row, in pinocchio's order, and the gradients
-    (3, N, n) of motors and friction.
+    """Split G into parameters of links (N, n, n, 10) by row, in pinocchio's order, and the
+    gradients (3, N, n) of motors and friction.
     """
     links = np.zeros((*G.shape[:2], model.robot.n, len(LINK)))
     out = np.zeros((3, *dq.shape))
@@ -335,8 +346,10 @@ def _split(model: InverseModel, base: BaseParameters, dq: Array, G: Array) -> tu
 def _slopes_of_robots(
     model: InverseModel, motion: tuple[Array, Array, Array], links: Array
 ) -> Array:
-    """Derivatives (n + 1, 3, N, n, n) of the torques by q, dq and ddq, of n robots with the
-    parameters `links` (N, n, n, 10), and of one whose links have the mass 1 alone.
+    """Return derivatives (n + 1, 3, N, n, n) of the torques by q, dq and ddq.
+
+    They are those of n robots with the parameters `links` (N, n, n, 10), and of one whose links
+    have the mass 1 alone.
     """
     (N, n), rigid = motion[0].shape, model.model.copy()
     data, slopes = rigid.createData(), np.empty((n + 1, 3, N, n, n))
@@ -353,8 +366,8 @@ def _slopes_of_robots(
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q,
-    dq, ddq: the last axis.
+    """Return tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q, dq, ddq:
+    the last axis.
     """
     shape, data = motion[0].shape, model.data
     tau, slopes = np.empty(shape), np.empty((3, *shape, shape[1]))
@@ -369,8 +382,10 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
 def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq,
-    ddq, each (N, n); `of_links` are those of `torque_of_links`.
+    """Return the torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n)
+    by q, dq, ddq.
+
+    The motion is (N, n) each; `of_links` are those of `torque_of_links`.
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down

@@ -4,7 +4,7 @@ tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard paramete
 names: XX XY XZ YY YZ ZZ (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg),
 rotor inertia Ia, viscous friction Fv, Coulomb friction Fc, offset Off. Asymmetric friction has Fvp,
 Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction are in `joint_terms`. The
-columns of load friction depend on parameters and are zero here.
+columns of load-dependent friction depend on parameters and are zero here.
 """
 
 import re
@@ -77,11 +77,13 @@ class InverseModel:
         self.coulomb_directions = np.array(list(dict.fromkeys(along))).reshape(-1, n)
 
     def entries(self, columns: Ints) -> Ints:
-        """Entries (E, 2) of the regressor that can be non-zero: (joint, place in `columns`)."""
+        """Return the entries (E, 2) of the regressor that can be non-zero: (joint, place in
+        `columns`).
+        """
         return np.argwhere(self.nonzero[:, columns])
 
     def series(self, q: Array, dq: Array, ddq: Array, columns: Ints) -> Array:
-        """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""
+        """Return time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""
         entries = self.entries(columns)
         out = np.empty((len(entries), len(q)))
         rows: dict[int, dict[int, list[int]]] = {}  # of out, by link and place in LINK
@@ -99,15 +101,18 @@ class InverseModel:
         return out
 
     def regressor(self, q: Array, dq: Array, ddq: Array, columns: Ints | None = None) -> Array:
-        """The regressor (N, n, b) over the motion q, dq, ddq (N, n): its `columns` (b,), or all."""
+        """Return the regressor (N, n, b) over the motion q, dq, ddq (N, n): its `columns` (b,), or
+        all.
+        """
         columns = np.arange(self.p) if columns is None else columns
         entries, W = self.entries(columns), np.zeros((*q.shape, len(columns)))
         W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
         return W
 
     def link_parameters(self) -> Array:
-        """The URDF's parameters (n, 10) of the links in the order of `LINK`, with fixed and locked
-        links; zero for DH rows.
+        """Return the URDF's parameters (n, 10) of the links in the order of `LINK`.
+
+        They include fixed and locked links; they are zero for DH rows.
         """
         return np.array(
             [inertia.toDynamicParameters() for inertia in list(self.model.inertias)[1:]]
@@ -115,13 +120,15 @@ class InverseModel:
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """The parent link of each joint: 0 the base, j the link that joint number j moves."""
+        """Parent link of each joint: 0 the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
     @cached_property
     def joint_frames(self) -> tuple[Array, Array, Array]:
-        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in
-        the parent link's frame, and its axis (n, 3) in its link's frame.
+        """Frames of the joints at position zero: origin (n, 3), rotation (n, 3, 3) and axis (n, 3).
+
+        Origin and rotation of a link's frame are in the parent link's frame; the axis is in the
+        link's frame.
         """
         placements = list(self.model.jointPlacements)[1:]
         pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
@@ -138,7 +145,7 @@ class InverseModel:
         )
 
     def placements(self, q: Array) -> tuple[Array, Array]:
-        """Links' frames in the base at the positions q (N, n): origins (N, n, 3),
+        """Return the links' frames in the base at the positions q (N, n): origins (N, n, 3),
         rotations (N, n, 3, 3).
         """
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
@@ -151,8 +158,9 @@ class InverseModel:
     def torques_of_links(
         self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array
     ) -> Array:
-        """Torques (K, N, n) of links with each of the `parameters` (K, n, 10) in the order of
-        `LINK`, over the motion q, dq, ddq (N, n).
+        """Return torques (K, N, n) of links with each of the `parameters` (K, n, 10) over a motion.
+
+        The parameters are in the order of `LINK`; the motion q, dq, ddq is (N, n).
         """
         (N, n), K, unit_wrenches = motion[0].shape, len(parameters), (_FORCES, _MOMENTS)
         tau = np.zeros((K, n, N))
@@ -166,7 +174,9 @@ class InverseModel:
     def _twists(
         self, motion: tuple[Array, Array, Array], links: int, gravity: Array
     ) -> Iterator[tuple[slice, list[Array]]]:
-        """By block of samples, the twists of the base and of the first links, as of `_carried`."""
+        """Return by block of samples the twists of the base and of the first links, as
+        `_carried`.
+        """
         base = np.zeros((2, 3, 2, 1))
         base[0, :, 1, 0] = -gravity
         for k in range(0, len(motion[0]), _BLOCK):
@@ -177,9 +187,11 @@ class InverseModel:
             yield slice(k, k + _BLOCK), twists
 
     def _carried(self, i: int, before: Array, q: Array, dq: Array, ddq: Array) -> Array:
-        """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its
-        velocity, its acceleration minus gravity, and its velocity for each of these joints at unit
-        speed; `before` are those of its parent.
+        """Return the twists of link i in its frame (linear and angular, 3, 2 + joints that carry
+        it, N).
+
+        They are its velocity, its acceleration minus gravity, and its velocity for each of these
+        joints at unit speed; `before` are those of its parent.
         """
         origin, axis, R, by_sin, by_cos = self._placements[i]
         prismatic = int(self.robot.joints[i].type == "prismatic")
@@ -208,8 +220,8 @@ class InverseModel:
 
     @cached_property
     def _placements(self) -> list[tuple[Array, ...]]:
-        """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R +
-        by_sin sin q + by_cos cos q.
+        """Placement of each joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its
+        rotation R + by_sin sin q + by_cos cos q.
         """
         turning = np.array([joint.type == "revolute" for joint in self.robot.joints])
         crosses = np.cross(np.eye(3), self.joint_frames[2][:, None]) * turning[:, None, None]
@@ -220,23 +232,24 @@ class InverseModel:
 
     @cached_property
     def _carriers(self) -> list[list[int]]:
-        """By link the joints that carry it."""
+        """Joints that carry each link."""
         return [
             [joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]
         ]
 
 
 def link_columns(idm: InverseModel) -> Ints:
-    """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
+    """Return the columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
     return np.flatnonzero(idm.of_links).reshape(-1, len(LINK))
 
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
-    """Torques (P * joints, N) of the joints that carry a link, for P forces and moments (P, 3, 12)
-    as of `_unit_wrenches`.
+    """Return torques (P * joints, N) of the joints that carry a link, for P forces and moments (P,
+    3, 12).
 
-    The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and
-    the force f and moment n that accelerate the link (Khalil2002).
+    The forces are those of `_unit_wrenches`. The torque of a joint is v·f + w·n, with the link's
+    velocities v, w at unit joint speed, and the force f and moment n that accelerate the link
+    (Khalil2002).
     """
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
     # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
@@ -253,9 +266,10 @@ def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
 
 
 def _unit_wrenches() -> tuple[Array, Array]:
-    """Force and moment (10, 3, 12) of a link by parameter of LINK, linear in its acceleration
-    a, its angular acceleration dw, and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz
-    of its angular velocity.
+    """Return force and moment (10, 3, 12) of a link by parameter of LINK.
+
+    They are linear in its acceleration a, its angular acceleration dw, and the products wx wx, wx
+    wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
     """
     forces, moments = np.zeros((2, 10, 3, 12))
     S = np.cross(np.eye(3)[:, None], np.eye(3)[None])  # S[i, k]: e_i x e_k
@@ -276,7 +290,7 @@ def _unit_wrenches() -> tuple[Array, Array]:
 
 
 def _cross(x: Array, y: Array) -> Array:
-    """Cross products along axis 0."""
+    """Return cross products along axis 0."""
     return np.asarray(x[[1, 2, 0]] * y[[2, 0, 1]] - x[[2, 0, 1]] * y[[1, 2, 0]])
 
 
@@ -284,7 +298,9 @@ _FORCES, _MOMENTS = _unit_wrenches()
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
-    """Unit of a link parameter; with A or V in place of N m or N if the gain is unknown."""
+    """Return the unit of a link parameter; with A or V in place of N m or N if the gain is
+    unknown.
+    """
     link, place = source
     power = 2 if place < 6 else 1 if place < 9 else 0  # kg m², kg m, kg
     if robot.gain_known:
@@ -294,8 +310,9 @@ def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
 
 
 def _model_from_dh(robot: Robot) -> pin.Model:
-    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified
-    Denavit-Hartenberg, Khalil2002.
+    """Build the model from Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r).
+
+    These are modified Denavit–Hartenberg rows (Khalil2002).
     """
     model, parent, rotate = pin.Model(), 0, pin.utils.rotate
     for joint in robot.joints:
@@ -313,7 +330,9 @@ def _model_from_dh(robot: Robot) -> pin.Model:
 
 
 def _model_from_urdf(robot: Robot) -> pin.Model:
-    """The movable joints that the description names; others of the URDF are locked at zero."""
+    """Build the model of the movable joints that the description names; others are locked at
+    zero.
+    """
     place, wanted = f"robot {robot.name}: URDF", [joint.name for joint in robot.joints]
     try:
         root = ET.fromstring(robot.urdf or "")

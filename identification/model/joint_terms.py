@@ -10,7 +10,7 @@ joint's or a coupled motor's):
 | offset | 1 | joint | Off |
 | asymmetric | abs(v) | joint | Fa |
 | root | sqrt(abs(u)) sign(u) | direction | Fr, Frm |
-| stribeck | exp(-(u/u_s)²) sign(u), u_s a stated speed | direction | Fs, Fsm |
+| stribeck | exp(-(u/u_s)²) sign(u), u_s a given speed | direction | Fs, Fsm |
 | load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
 
 Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the
@@ -67,8 +67,8 @@ class JointTerm:
 
     @property
     def row(self) -> Array:
-        """(n,) speed of its joint or motor per joint speed, 1 at `joint`; includes what
-        `given_away` takes from `matrix`.
+        """Speed of its joint or motor per joint speed, (n,), 1 at `joint`; with what `given_away`
+        takes from `matrix`.
         """
         if self.direction.any():
             return self.direction
@@ -78,8 +78,8 @@ class JointTerm:
         )
 
     def entry(self, j: int, dq: Array, ddq: Array, load: Array | float = 0.0) -> Array | float:
-        """The column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the
-        size of the links' torque.
+        """Return the column's entry (N,) at joint j over a motion dq, ddq (N, n); `load` (N,) is
+        the size of the links' torque.
         """
         if self.kind == "offset":
             return float(self.direction[j])
@@ -96,8 +96,8 @@ class JointTerm:
         return np.asarray(self.direction[j] * (sign * size))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms with
-        a sign: see `rounded`.
+        """Return derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms
+        with a sign, see `rounded`.
         """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
@@ -113,8 +113,8 @@ class JointTerm:
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
-        """Friction with a sign along the direction at speeds dq (N, n), without jumps,
-        and its slope, (N,) each.
+        """Return friction with a sign along the direction at speeds dq (N, n), without jumps, and
+        its slope, (N,) each.
 
         The sign of a speed u becomes x / sqrt(1 + x²), x = u over the creep speed along the
         direction; the root becomes sqrt(abs(u) + ROOT_ROUNDING). The slope is the derivative by u.
@@ -135,8 +135,10 @@ class JointTerm:
 
 
 def joint_terms(robot: Robot, j: int) -> Iterator[JointTerm]:
-    """The described terms numbered j + 1: Ia, friction of the joint, Off, and friction of a motor
-    that turns with several joints, at the speed row·dq.
+    """Return the described terms numbered j + 1: Ia, friction of the joint, Off, and friction of a
+    motor.
+
+    The motor's friction is that of one that turns with several joints, at the speed row·dq.
     """
     joint, own, motors = robot.joints[j], np.eye(robot.n)[j], _motor_rows(robot)
     none, square, row = np.zeros(robot.n), np.zeros((robot.n, robot.n)), motors[j]
@@ -177,8 +179,8 @@ def _through_matrix(
     row: Array,
     others: Sequence[int] = (),
 ) -> JointTerm:
-    """A term of the matrix rowᵀ row, whose diagonal at `others` belongs to parameters of these
-    joints.
+    """Return a term of the matrix rowᵀ row, whose diagonal at `others` belongs to parameters of
+    these joints.
     """
     j, whole = blank.joint, np.outer(row, row)
     matrix = whole.copy()
@@ -207,8 +209,8 @@ def _along(robot: Robot, blank: JointTerm, kind: Kind, name: str, direction: Arr
 
 
 def corner_speeds(directions: Array) -> Array:
-    """Absolute speeds (m, k) along k directions (k, n) at the corners, where the
-    planes d_k dq = 0 meet.
+    """Return absolute speeds (m, k) along k directions (k, n) at the corners, where the planes d_k
+    dq = 0 meet.
 
     The power of Coulomb friction sum_k Fc_k |d_k dq| is linear between these planes: if it is not
     negative at the corners, it is not negative anywhere.
@@ -223,7 +225,7 @@ def corner_speeds(directions: Array) -> Array:
 
 
 def spanning(rows: Array) -> Array:
-    """Unit vectors (r, n) that span rows (k, n): joint axes if possible."""
+    """Return unit vectors (r, n) that span rows (k, n): joint axes if possible."""
     moving, rank = np.flatnonzero(rows.any(axis=0)), int(np.linalg.matrix_rank(rows))
     return np.asarray(
         np.eye(rows.shape[1])[moving] if rank == len(moving) else np.linalg.svd(rows)[2][:rank]
@@ -231,8 +233,8 @@ def spanning(rows: Array) -> Array:
 
 
 def inertia_unit(robot: Robot, j: int) -> str:
-    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V
-    if the gain is unknown.
+    """Return the unit of an inertia about joint j's axis, or of a mass moved by it; in A or V if
+    the gain is unknown.
     """
     if not robot.gain_known:
         return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
@@ -240,7 +242,7 @@ def inertia_unit(robot: Robot, j: int) -> str:
 
 
 def _motor_rows(robot: Robot) -> Array:
-    """Motor matrix (n, n) with each row divided by its entry at the motor's own joint,
+    """Return the motor matrix (n, n) with each row divided by its entry at the motor's own joint,
     or else by its largest.
     """
     largest = np.take_along_axis(robot.R, np.abs(robot.R).argmax(axis=1)[:, None], axis=1)

@@ -43,7 +43,7 @@ class Obstacles:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(P,) names of the pairs."""
+        """Names of the pairs, (P,)."""
         shapes = [shape.name.rpartition("_")[0] for shape in self.geometry.geometryObjects]
         return tuple(
             f"{shapes[pair.first]} and {shapes[pair.second]}"
@@ -51,21 +51,23 @@ class Obstacles:
         )
 
     def distances(self, q: Array) -> Array:
-        """(N, P) distances in m of the pairs at the positions q (N, n),
-        negative where shapes overlap.
+        """Return distances (N, P) in m of the pairs at the positions q (N, n), negative where
+        shapes overlap.
         """
         found = [[one.min_distance for one in found] for _, found in self._along(q)]
         return np.array(found).reshape(len(q), -1)
 
     def nearest(self, q: Array) -> tuple[float, str]:
-        """The smallest distance in m along the positions q (N, n), which are finite, and the name
-        of its pair.
+        """Return the smallest distance in m along the positions q (N, n), which are finite, and the
+        name of its pair.
         """
         apart, pair = min((found[k].min_distance, k) for k, found in self._along(q))
         return float(apart), self.names[pair]
 
     def _along(self, q: Array) -> Iterator[tuple[int, Any]]:
-        """The nearest pair and coal's results of all pairs, at each of the positions q (N, n)."""
+        """Yield the nearest pair and coal's results of all pairs, at each of the positions q (N,
+        n).
+        """
         data, shapes = self.model.createData(), pin.GeometryData(self.geometry)
         for qk in np.ascontiguousarray(q):
             nearest = pin.computeDistances(self.model, data, self.geometry, shapes, qk)
@@ -73,12 +75,14 @@ class Obstacles:
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles:
-    """The pairs of a robot's shapes, by described capsules, else by those of its
-    URDF, and of the ground.
+    """Find the pairs of a robot's shapes that must not touch, by given capsules, else by its URDF.
 
-    Pairs that are nearer than `margin_m` at all `poses` (N, n) within the ranges are left
-    out: their distance depends on the shapes, not on the motion. Raises `BadInputError`:
-    a mesh cannot be read.
+    The ground is a shape too. Pairs that are nearer than `margin_m` at all `poses` (N, n) within
+    the ranges are left out: their distance depends on the shapes, not on the motion.
+
+    Raises
+    ------
+    BadInputError : a mesh cannot be read.
     """
     robot, geometry, missing = dynamics.robot, pin.GeometryModel(), list[str]()
     if robot.base.ground_m is not None:
@@ -122,7 +126,9 @@ def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
 
 
 def _are_adjacent(dynamics: InverseModel, geometry: Any, i: int, k: int) -> bool:
-    """Whether a joint connects the links of two shapes, of which the first may be the ground."""
+    """Test whether a joint connects the links of two shapes, of which the first may be the
+    ground.
+    """
     shapes, parents = geometry.geometryObjects, dynamics.model.parents
     a, b = shapes[i].parentJoint, shapes[k].parentJoint
     return shapes[i].name != "ground_0" and bool(parents[a] == b or parents[b] == a)

@@ -78,10 +78,10 @@ class BaseParameters:
         return len(self.names)
 
     def standard_parameters(self, beta: Array) -> Array:
-        """Standard parameters chi (p,) with K chi = beta; all links whose masses are
-        free have the same mass.
+        """Return standard parameters chi (p,) with K chi = beta.
 
-        Every chi with the same beta gives the same motion.
+        All links whose masses are free have the same mass. Every chi with the same beta gives the
+        same motion.
         """
         # pinocchio divides by masses. Free ones exceed those of beta, so that no
         # regrouped mass becomes zero.
@@ -91,8 +91,8 @@ class BaseParameters:
         return chi
 
     def without(self, names: Collection[str]) -> "BaseParameters":
-        """The base parameters without these, which must be friction terms
-        that are not regrouped.
+        """Return the base parameters without these, which must be friction terms that are not
+        regrouped.
         """
         others = [i for i, name in enumerate(self.names) if name not in names]
         return replace(
@@ -107,7 +107,9 @@ class BaseParameters:
 
 
 def load_parameters(base: BaseParameters) -> tuple[str, ...]:
-    """Names of the load friction parameters mu1, mu2, ...; the model is not linear in them."""
+    """Return names of the load-dependent friction parameters mu1, mu2, ...; the model is not linear
+    in them.
+    """
     return tuple(filter(is_load, base.names))
 
 
@@ -149,8 +151,10 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
 
 
 def _regroup(scaled: Array, norms: Array, columns: Ints) -> tuple[Ints, Array]:
-    """Independent ones (b,) of the `columns` of a regressor, and what is regrouped into each
-    (b, p); `norms` (p,) are those of all columns, `scaled` the columns divided by theirs.
+    """Return the independent ones (b,) of the `columns` of a regressor, and what is regrouped into
+    each (b, p).
+
+    `norms` (p,) are those of all columns, `scaled` the columns divided by theirs.
     """
     diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
     keep = diagonal > TOLERANCE * diagonal.max()
@@ -165,8 +169,9 @@ def _regroup(scaled: Array, norms: Array, columns: Ints) -> tuple[Ints, Array]:
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
-    """Such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`: the parameter itself first, equal
-    coefficients in one bracket.
+    """Return an expression such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`.
+
+    The parameter itself comes first, equal coefficients in one bracket.
     """
     groups: dict[float, list[str]] = {}
     for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:
@@ -182,7 +187,9 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 
 def known_parameters(dynamics: InverseModel) -> Array:
-    """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
+    """Return standard parameters chi (p,) of the description's `[parameters]`, zero if not
+    given.
+    """
     values, names = dynamics.robot.parameters, dynamics.names
     place = Location(f"robot {dynamics.robot.name}")
     place.require(
@@ -202,22 +209,27 @@ def known_parameters(dynamics: InverseModel) -> Array:
 
 
 def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
-    """Base parameters (b,) of the description's `[parameters]`: K chi."""
+    """Return base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))
 
 
 def expected_links(
     idm: InverseModel, prior: InverseModel | None = None
 ) -> tuple[Array, tuple[str, ...]]:
-    """A-priori links of `prior`, another description of the robot, or of the
-    model's own description.
-
-    Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and
-    the source of each link.
+    """Return the a priori links of `prior`, another description of the robot, or of the model's
+    own.
 
     A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from
     its joint to the next. The link frames of `prior` may differ, as those of a URDF from DH rows.
-    Raises `BadInputError` if it has other joints or its links move differently.
+
+    Returns
+    -------
+    Parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and the source of
+    each link.
+
+    Raises
+    ------
+    BadInputError : `prior` has other joints, or its links move differently.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
@@ -239,8 +251,9 @@ def expected_links(
 def base_prior(
     idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
 ) -> tuple[dict[str, float], str]:
-    """A-priori base parameters K chi of links alone, by name, as `expected_links` without
-    plausible values; their source.
+    """Return a priori base parameters K chi of links alone, by name, and their source.
+
+    They are those of `expected_links` without plausible values.
     """
     (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
     chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
@@ -251,12 +264,15 @@ def base_prior(
 
 
 def payload_parameters(model: InverseModel, payload: Payload) -> Array:
-    """The payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) in the frame of the last link,
-    about its origin: a ball.
+    """Return the payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) about the origin of the last link's
+    frame.
 
-    Without a centre of mass the ball is at the origin of the payload's frame.
-    Raises `BadInputError` if the mass is unknown, or the frame is no fixed link
-    that the last joint carries.
+    The payload is a ball; without a centre of mass it is at the origin of the payload's frame.
+
+    Raises
+    ------
+    BadInputError : the mass is unknown, or the frame is not a fixed link that the last joint
+        carries.
     """
     if payload.mass_kg is None:
         raise BadInputError(key="payload", value=str(payload), expected="its mass")
@@ -284,8 +300,8 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
 
 
 def add_payload(model: InverseModel, parameters: Array, payload: Payload) -> Array:
-    """Standard parameters (p,) of the robot with the payload, from those
-    of the robot without it.
+    """Return standard parameters (p,) of the robot with the payload, from those of the robot
+    without it.
     """
     out = np.array(parameters, dtype=float)
     out[link_columns(model)[-1]] += payload_parameters(model, payload)
@@ -293,8 +309,9 @@ def add_payload(model: InverseModel, parameters: Array, payload: Payload) -> Arr
 
 
 def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
-    """Whether a body of positive density can have these ten parameters: eigenvalues of its scaled
-    pseudo-inertia > `least`.
+    """Test whether a rigid body with positive mass density can have these ten parameters.
+
+    The eigenvalues of its scaled pseudo-inertia are greater than `least`.
     """
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
@@ -307,8 +324,8 @@ def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
 def _expected_link(
     idm: InverseModel, j: int, described: Array, of_urdf: Array
 ) -> tuple[Array, str]:
-    """Ten parameters of link j, described, from the URDF, or of a rod to the next
-    joint; and their source.
+    """Return the ten parameters of link j and their source: described, from the URDF, or of a rod
+    to the next joint.
     """
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
@@ -326,8 +343,8 @@ def _expected_link(
 
 
 def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
-    """T (n, 4, 4) from the prior's link frames to the model's; it must be the
-    same at all positions.
+    """Return T (n, 4, 4) from the prior's link frames to the model's, which must not depend on the
+    position.
     """
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:

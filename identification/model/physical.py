@@ -29,10 +29,11 @@ MIN_SPEED = 0.04  # of a joint's peak speed, for the power of its friction to be
 
 
 def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> Array:
-    """Power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum |dq|;
-    zero for constant offsets.
+    """Return the power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum
+    |dq|.
 
-    `dq` (k, n) are the speeds, no row all zero, `load` (k, n) the sizes of the links' torques.
+    It is zero for constant offsets. `dq` (k, n) are the speeds, no row all zero, `load` (k, n) the
+    sizes of the links' torques.
     """
     still, G = np.zeros_like(dq), np.zeros((len(dq), len(columns)))
     for i, column in enumerate(columns):
@@ -44,7 +45,7 @@ def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> 
 
 
 def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Array) -> Array:
-    """Friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,),
+    """Return friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,),
     if only joint j moves.
 
     `v` (k,) are its speeds, not zero, `load` (k,) the sizes of the links' torque at it.
@@ -57,10 +58,10 @@ def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Arr
 
 
 def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
-    """Speeds and loads (m, n) at which the power of further friction terms is checked, from
-    those of some rows (k, n).
+    """Return speeds and loads (m, n) at which the power of further friction terms is checked.
 
-    Joints that share motors move together as recorded, and each joint alone.
+    They are made from those of some rows (k, n). Joints that share motors move together as
+    recorded, and each joint alone.
     """
     moving = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0)
     found = [(dq[:0], load[:0])]
@@ -73,14 +74,13 @@ def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Arr
 
 
 def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointTerm, str]]:
-    """Conditions for rotor inertias, viscous and Coulomb friction.
+    """Return conditions for rotor inertias, viscous and Coulomb friction.
 
-    Matrices (s, s, p), mostly a single entry, whose product with chi must be positive definite; the
-    first parameter of each, with the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
-
-    For joints with further friction terms: if `shaped`, friction must be positive
-    without these terms, also of a joint's or motor's own; else there is no condition
-    here, and the power is checked.
+    These are matrices (s, s, p), mostly a single entry, whose product with chi must be positive
+    definite; the first parameter of each, with the kind and the unit of all; and a text such as
+    `Fc5 + Fcm6`. For joints with further friction terms: if `shaped`, friction must be positive
+    without these terms, also of a joint's or motor's own; else there is no condition here, and the
+    power is checked.
     """
     groups, (terms, A) = _groups(idm), own_shares(idm)
     alone = {
@@ -112,12 +112,12 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
 def physical_parameters(
     idm: InverseModel, prior: InverseModel | None = None, power: Array | None = None
 ) -> PhysicalParameters:
-    """Conditions for the standard parameters of a physical robot.
+    """Return conditions for the standard parameters of a physically consistent model.
 
-    Links have the prior of `expected_links`; rotors and friction the conditions of
-    `requirements`. Further friction terms need a positive `power` (m, p), per unit of each
-    parameter at `shaped_states`; if no speeds are known, viscous and Coulomb friction must be
-    positive without the further terms.
+    Links have the prior of `expected_links`; rotors and friction the conditions of `requirements`.
+    Further friction terms need a positive `power` (m, p), per unit of each parameter at
+    `shaped_states`; if no speeds are known, viscous and Coulomb friction must be positive without
+    the further terms.
     """
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
@@ -146,7 +146,7 @@ def physical_parameters(
 def _terms(
     idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None
 ) -> dict[int, JointTerm]:
-    """By column, the terms of these kinds that act on one of the joints, or on any."""
+    """Return by column the terms of these kinds that act on one of the joints, or on any."""
     return {
         c: term
         for c, term in idm.terms.items()
@@ -155,7 +155,7 @@ def _terms(
 
 
 def _groups(idm: InverseModel) -> dict[tuple[int, ...], bool]:
-    """Groups of joints that share motors, each with whether it has further friction terms."""
+    """Return groups of joints that share motors, each with a flag for further friction terms."""
     joined = np.eye(idm.robot.n)
     for term in _terms(idm, DISSIPATING).values():
         joined[np.ix_(term.rows, term.rows)] = 1.0
@@ -172,8 +172,8 @@ def _groups(idm: InverseModel) -> dict[tuple[int, ...], bool]:
 
 
 def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
-    """Rotors, viscous and Coulomb friction by column, and for each the combination (m, p) of
-    its joint or motor alone.
+    """Return rotors, viscous and Coulomb friction by column, and the combination (m, p) of each
+    joint or motor alone.
     """
     terms = _terms(idm, RESISTING)
     columns = list(terms)
@@ -189,7 +189,7 @@ def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
 
 
 def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
-    """The condition that a combination (p,) of parameters of one kind is positive."""
+    """Return the condition that a combination (p,) of parameters of one kind is positive."""
     terms = [term for c, term in _terms(idm, RESISTING).items() if row[c]]
     text = " ".join(
         f"{'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{abs(x):.4g} '}{term.name}"
@@ -205,9 +205,13 @@ def nearest_consistent(
     covariance: Array,
     power: Array | None = None,
 ) -> Consistent:
-    """The physically consistent parameters nearest to base parameters beta (b,) of
-    this covariance (b, b).
+    """Find the physically consistent parameters nearest to base parameters beta (b,) of this
+    covariance (b, b).
 
-    `power` as in `physical_parameters`. Raises `BadInputError` if none are found.
+    `power` as in `physical_parameters`.
+
+    Raises
+    ------
+    BadInputError : none are found.
     """
     return consistent_parameters(beta, covariance, base.K, physical_parameters(model, power=power))

@@ -2,7 +2,7 @@
 torque. All are asked alike, so that W and Z are the same columns along two motions.
 
 A block filters any series as equation (6) of Janot2014 does, F[w x]: times the weights w of the
-samples, then decimated. Recordings are read-only: no lag and no gain changes them, as these are
+samples, then decimated. Recordings are read-only: no delay and no gain changes them, as these are
 unknowns of the term `Drives`.
 
 Weights of samples: those at which a joint stands weigh nothing.
@@ -50,9 +50,10 @@ class SampleWeights:
     """The weights of a recording.
 
     Attributes:
-        moves: (N, n) which joints move at its samples, and were measured.
-        ramps: (n,) L in rows, or `ROWS`, by joint: shorter than asked where a
-            joint's moves are short.
+        moves: (N, n) True for joints that move at its samples, and were measured.
+        ramps: (n,) taper L in rows, or `ROWS`, by joint: shorter than requested where a joint's
+            moves
+            are short.
         of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
     """
 
@@ -83,7 +84,7 @@ class SampleWeights:
                 break
 
     def between(self, start: int, stop: int) -> Array:
-        """w (n, stop - start) of the samples `start` to `stop`."""
+        """Return w (n, stop - start) of the samples `start` to `stop`."""
         far = 2 * max(0, *self._reach)
         low, high = max(0, start - far), min(len(self.moves), stop + far)
         near, measured = self.moves[low:high], self._measured[low:high].astype(float)
@@ -97,8 +98,8 @@ class SampleWeights:
 
 
 def sample_weights(problem: Problem, given: SampleWeights | None = None) -> SampleWeights:
-    """The weights of a recording, made once for its motion and settings; or those `given`, from
-    then on.
+    """Return the weights of a recording, made once for its motion and settings; or those `given`,
+    from then on.
     """
     s, once = problem.settings, problem.motion.once
     span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
@@ -109,7 +110,7 @@ def sample_weights(problem: Problem, given: SampleWeights | None = None) -> Samp
 
 
 def weights_at(problem: Problem, t_s: Array) -> Array:
-    """w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
+    """Return w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
     at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
     return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
 
@@ -131,15 +132,15 @@ def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
 
 
 def _moves(problem: Problem) -> Bools:
-    """Which joints (N, n) move, in samples that were measured: no Coulomb direction that acts on a
-    joint is slow within half a period of the cut-off.
+    """Return a mask (N, n) of the joints in motion, in samples that were measured.
 
-    Slow: below 4 % of the peak in the span, 1 % where friction has terms of slow motion (root,
-    load, Stribeck), or 4 deviations of the noise of the regressor's speed if that is more.
-    Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one; the
-    noise is the difference and, for terms of slow motion, what passes of that of the position. The
-    low-pass smears a speed by half a period of its cut-off, so a joint that sticks for a moment
-    seems to creep.
+    No Coulomb direction that acts on such a joint is slow within half a period of the cut-off. Slow
+    means below 4 % of the peak in the time range used, 1 % where friction has terms of slow motion
+    (root, load, Stribeck), or 4 standard deviations of the noise of the regressor's speed if that
+    is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher
+    one; the noise is the difference and, for terms of slow motion, what passes of that of the
+    position. The low-pass smears a speed by half a period of its cut-off, so a joint that sticks
+    for a moment seems to creep.
 
     A low-pass that was put where the motion ends smears a reversal over more than the reversal
     takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.
@@ -189,8 +190,9 @@ def _moves(problem: Problem) -> Bools:
 
 
 def _noise_of_speed(problem: Problem, cutoff_hz: float) -> Array:
-    """Deviation (n,) of the noise of the speed behind a low-pass, of white noise of the position,
-    which third differences show.
+    """Return the standard deviation (n,) of the noise of the speed after a low-pass.
+
+    The position has white noise, which third differences show.
     """
     thirds = np.abs(np.diff(problem.signals.q[:BLOCK_SAMPLES], 3, axis=0))
     passed = np.sqrt(2 * cutoff_hz**3 / (3 * problem.signals.sample_rate_hz))
@@ -198,7 +200,7 @@ def _noise_of_speed(problem: Problem, cutoff_hz: float) -> Array:
 
 
 def _ramped(moves: Bools, L: int) -> Array:
-    """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands.
+    """Return w (N,) of a joint: Hann tapers of 2 L samples inside its moves, zero at rest.
 
     Beyond the ends nothing changes.
     """
@@ -221,9 +223,9 @@ class MotionBlock(Motion):
 
     Attributes:
         problem: of the recording.
-        near: the rows that it has samples of; `inside`: in these, its own ones; `decimation` leads
-            from its samples to the rows.
-        stride: step between samples that tell what links need: more than 1 for a low-passed motion.
+        near: the rows that it has samples of.
+        inside: its own rows among these; `decimation` leads from its samples to the rows.
+        stride: step between samples that suffices for links: more than 1 for a low-passed motion.
     """
 
     problem: Problem
@@ -233,28 +235,28 @@ class MotionBlock(Motion):
     stride: int = 1
 
     def __getstate__(self) -> dict[str, Any]:
-        """Take along all that rows need, so that another process needs no recording."""
+        """Return all that rows need, so that another process needs no recording."""
         own = {name: getattr(self, name) for name in ("weights", "share", "known_torque")}
         return vars(self) | own | {"problem": self.problem.without_samples}
 
     @cached_property
     def weights(self) -> Array:
-        """Return the weights (n, N) of the samples: 0 where a joint stands, 1 where it moves."""
+        """Weights (n, N) of the samples: 0 for a joint at rest, 1 in motion."""
         return weights_at(self.problem, self.t_s)
 
     @cached_property
     def share(self) -> Array:
-        """Return the weights (n, rows) of the rows, 0 for those that do not count."""
+        """Weights (n, rows) of the rows, 0 for those that do not count."""
         return sample_weights(self.problem).of_rows[self.near][self.inside].T
 
     @property
     def first(self) -> int:
-        """Its first row."""
+        """First row of the block."""
         return int(self.near.start + self.inside.start)
 
     @cached_property
     def W(self) -> Array:
-        """Return the regressor (n, b, rows) F[w IDM]; columns of load friction are zero."""
+        """Regressor (n, b, rows) F[w IDM]; columns of load-dependent friction are zero."""
         w, N, links = self.weights, len(self.q), self.problem.base.links
         found = np.zeros((len(w), len(links), self.decimation.rows(N)))
         # else most of it is the ends
@@ -273,8 +275,8 @@ class MotionBlock(Motion):
         return np.ascontiguousarray(found[..., self.inside])
 
     def _series(self, of: Bools, *spans: slice) -> tuple[tuple[Ints, Ints], list[Array]]:
-        """Joints and places (E,) of the entries of some columns, and in spans of the samples their
-        weighted series (E, N).
+        """Yield joints and places (E,) of the entries of some columns, and parts of their weighted
+        series (E, N).
         """
         model, places, parts = self.problem.model, np.flatnonzero(of), list[Array]()
         columns = self.problem.base.columns[places]
@@ -287,7 +289,7 @@ class MotionBlock(Motion):
 
     @cached_property
     def known_torque(self) -> Array:
-        """Return the known torque (N, n) of its samples, N m or N, zero for none."""
+        """External torque (N, n) of its samples, N m or N, zero for none."""
         signals = self.problem.signals
         if signals.known_torque is None:
             return np.zeros(self.q.shape)
@@ -312,7 +314,7 @@ class MotionBlock(Motion):
 
     @property
     def torque_stride(self) -> int:
-        """Return the step between samples that tell a predicted torque."""
+        """Step between samples that suffices for a predicted torque."""
         return self.decimation.factor // DRIVES_A_ROW if self.problem.settings.filtered else 1
 
     def with_torque_of(self, beta: Array) -> "MotionBlock":
@@ -331,21 +333,21 @@ class MotionBlock(Motion):
 
 
 class Candidate(Protocol):
-    """What is asked for its columns along a motion of a recording, beside the terms."""
+    """A provider of columns along a motion of a recording, beside the terms."""
 
     @property
     def sliding(self) -> Array:
-        """(c,) largest speeds along the directions of Coulomb friction."""
+        """Largest speeds along the directions of Coulomb friction, (c,)."""
 
     def columns(self, motion: MotionBlock) -> Array:
-        """(n, k, rows), weighted and decimated."""
+        """Return the columns (n, k, rows), weighted and decimated."""
 
     def at_rest(self, motion: MotionBlock) -> Array:
-        """(n, g, rows) of links at rest, along the measured motion."""
+        """Return the torques (n, g, rows) of links at rest, along the measured motion."""
 
 
 def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
-    """The recorded motion of the span used, low-passed, in blocks."""
+    """Return the recorded motion of the time range used, low-passed, in blocks."""
     settings, decimation = problem.settings, problem.settings.decimator
     stride = decimation.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)
     for near, inside in row_blocks(problem):
@@ -363,8 +365,11 @@ def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
 def predicted_torque(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
 ) -> Array:
-    """Torque (..., N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq)
-    beta, by beta (..., b); links' as `smooth`.
+    """Return the torque (..., N, n) of the inverse dynamic model along a motion, undecimated.
+
+        IDM(q, dq, ddq) beta
+
+    `beta` is (..., b); the torque of links is computed as in `smooth`.
     """
     models = [direct_model_of_base(dynamics, base, one) for one in beta.reshape(-1, base.b)]
     links, gravity = np.array([one.links for one in models]), dynamics.model.gravity.linear

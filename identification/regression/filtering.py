@@ -31,8 +31,9 @@ _IN_CACHE = 120_000
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time);
-    `cutoff_hz` is of one direction.
+    """Filter by equation (A): Butterworth of order 4, forward and backward, along axis 0 (time).
+
+    `cutoff_hz` is that of one direction.
     """
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise BadInputError(
@@ -50,8 +51,8 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
 
 
 def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
-    """Frequency at which the filter, forward and backward, is down by 3 dB
-    (a factor of sqrt(1/2)).
+    """Return the frequency at which the filter, forward and backward, is down by 3 dB, a factor of
+    sqrt(1/2).
     """
     x = (np.sqrt(2.0) - 1.0) ** (1 / (2 * BUTTERWORTH_ORDER))
     return float(sample_rate_hz / np.pi * np.arctan(x * np.tan(np.pi * cutoff_hz / sample_rate_hz)))
@@ -79,18 +80,18 @@ class Decimation:
         return math.prod(_chebyshev(r).dc ** 2 for r in decimation_passes(self.factor))
 
     def rows(self, samples: int) -> int:
-        """Number of rows that so many samples give."""
+        """Return the number of rows that so many samples give."""
         return -(-samples // self.factor)
 
     def samples(self, rows: slice, N: int) -> slice:
-        """The samples of a series of N that give these rows: counted from the last one, which
-        decimation keeps.
+        """Return the samples of a series of N that give these rows, counted from the last one,
+        which decimation keeps.
         """
         start, stop = (N - (self.rows(N) - k) * self.factor for k in (rows.start, rows.stop))
         return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
-        """x decimated along its last axis."""
+        """Decimate x along its last axis."""
         return _some_at_a_time(self._filtered, np.atleast_2d(x)).reshape(*x.shape[:-1], -1)
 
     def _filtered(self, x: Array) -> Array:
@@ -110,11 +111,10 @@ class Decimation:
         return np.ascontiguousarray(x)
 
     def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
-        """As `filtered`, of a series of which x is every `stride_behind`-th sample,
-        counted from the last one.
+        """Decimate as `filtered` a series of which x is every `stride_behind`-th sample.
 
-        `head` and `tail` are all of its first and last samples: `end_samples`, and up to a stride
-        more to reach one of x.
+        Samples are counted from the last one. `head` and `tail` are all of its first and last
+        samples: `end_samples`, and up to a stride more to reach one of x.
         """
         return _some_at_a_time(self._filtered_strided, x, head, tail)
 
@@ -133,18 +133,18 @@ class Decimation:
 
     @property
     def end_samples(self) -> int:
-        """Number of samples at each end that `filtered_strided` needs: twice the
-        reach of the first pass.
+        """Number of samples at each end that `filtered_strided` needs: twice the reach of the first
+        factor.
         """
         r = decimation_passes(self.factor)[0]
         return 2 * r * (_chebyshev(r).reach // r + 1)
 
     def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
-        """Stride at which a smooth function of the low-passed position needs
-        computing: the first pass, or 1.
+        """Return the stride at which a smooth function of the low-passed position needs computing.
 
-        The noise of an acceleration rises with the square of frequency, up to the low-pass. The
-        amplitude that folds into the passband may be a thousandth of that in it.
+        It is the first factor, or 1. The noise of an acceleration rises with the square of
+        frequency, up to the low-pass. The amplitude that folds into the passband may be a
+        thousandth of that in it.
         """
         passes = decimation_passes(self.factor)
         if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
@@ -160,14 +160,16 @@ class Decimation:
         )
 
     def instants(self, N: int) -> Ints:
-        """Indices of the decimated instants in N samples: the last one, and every
+        """Return indices of the decimated instants in N samples: the last one, and every
         `factor`-th before it.
         """
         return np.arange((N - 1) % self.factor, N, self.factor)
 
 
 def decimation_passes(factor: int) -> tuple[int, ...]:
-    """Factors, each at most 13 if possible, whose product is `factor`: 100 is two passes by 10."""
+    """Return factors, each at most 13 if possible, whose product is `factor`: 100 becomes 10 times
+    10.
+    """
     divisors = [d for d in range(2, MAX_PASS + 1) if factor % d == 0]
     if factor <= MAX_PASS or not divisors:
         return (factor,) if factor > 1 else ()
@@ -178,14 +180,14 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
 
 
 def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
-    """f of series, each (E, ..., N), of as many of E at a time as the cache holds."""
+    """Apply f to series (E, ..., N), as many of E at a time as fit into the cache."""
     size = max(1, _IN_CACHE // max(1, *(x[:1].size for x in series)))
     starts = range(0, max(1, len(series[0])), size)
     return np.concatenate([f(*(x[k : k + size] for x in series)) for k in starts])
 
 
 def _decimated(x: Array, r: int) -> Array:
-    """One pass by r with smooth ends.
+    """Decimate once by r with smooth ends.
 
     Taking every r-th sample sums the r equal parts of the spectrum.
     """
@@ -222,14 +224,17 @@ def _decimated(x: Array, r: int) -> Array:
 
 @lru_cache
 def _line(near: int) -> Array:
-    """Weights (near,) of samples in the value, at the first one, of the line through them."""
+    """Return weights (near,) of samples in the value, at the first one, of the line through
+    them.
+    """
     return np.asarray(np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0])
 
 
 @lru_cache
 def _gain(r: int, rows: int) -> Array:
-    """|H|² before decimation by r at the frequencies of the spectrum of `rows` r samples, as far as
-    it matters: beyond those of the rows.
+    """Return |H|² before decimation by r at the frequencies of the spectrum of `rows` r samples.
+
+    Frequencies beyond those of the rows do not matter.
     """
     gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
     last = int(np.flatnonzero(gain > 1e-3 * MIN_RESPONSE)[-1])
@@ -238,13 +243,13 @@ def _gain(r: int, rows: int) -> Array:
 
 
 def decimation_reach(factor: int) -> int:
-    """Samples to each side that influence a decimated output."""
+    """Return the number of samples to each side that influence a decimated output."""
     passes = decimation_passes(factor)
     return sum(math.prod(passes[:k]) * _chebyshev(r).reach for k, r in enumerate(passes))
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
-    """Samples to each side that influence the filtered signal."""
+    """Return the number of samples to each side that influence the filtered signal."""
     return _butterworth(cutoff_hz, sample_rate_hz).reach
 
 
@@ -254,23 +259,23 @@ class _Filter:
     """
 
     def __init__(self, poles: NDArray[np.complexfloating], cutoff: float, dc: float = 1.0) -> None:
-        """With a cut-off as share of half the rate, and a gain at frequency 0."""
+        """Store poles, a cut-off as share of half the rate, and the gain at frequency 0."""
         self.poles, self.dc = poles, dc
         self.warp = float(np.tan(0.5 * np.pi * cutoff))
 
     @cached_property
     def reach(self) -> int:
-        """Samples in which the slowest pole decays."""
+        """Number of samples in which the slowest pole decays."""
         p = self.poles * self.warp
         return int(np.ceil(np.log(MIN_RESPONSE) / np.log(np.abs((1 + p) / (1 - p)).max())))
 
     def response(self, size: int) -> NDArray[np.complexfloating]:
-        """H at the frequencies of the spectrum of `size` samples."""
+        """Return H at the frequencies of the spectrum of `size` samples."""
         s = 1j * np.minimum(np.tan(np.pi * np.arange(size // 2 + 1) / size) / self.warp, 1e9)
         return np.asarray(self.dc * np.prod([p / (p - s) for p in self.poles], axis=0))
 
     def forward_backward(self, x: Array, padding: int) -> Array:
-        """x (..., N) filtered forward and backward as by MATLAB's `filtfilt`.
+        """Filter x (..., N) forward and backward as MATLAB's `filtfilt` does.
 
         The ends are reflected at the end samples for `padding` samples. Each direction starts in
         the steady state of its first sample.
@@ -298,8 +303,8 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Filter:
 
 @lru_cache
 def _chebyshev(r: int) -> _Filter:
-    """The filter of one pass by r; of even order, it is at the minimum of its
-    ripple at frequency 0.
+    """Return the filter of one decimation by r; of even order, it is at the minimum of its ripple
+    at frequency 0.
     """
     n, floor = CHEBYSHEV_ORDER, 10 ** (-CHEBYSHEV_RIPPLE_DB / 20)
     a = np.arctanh(floor) / n  # sinh(n a) = 1/eps, eps² = 1/floor² - 1
@@ -308,12 +313,14 @@ def _chebyshev(r: int) -> _Filter:
 
 
 def fast_size(least: int) -> int:
-    """The smallest number from `least` on with no factors but 2, 3 and 5, for a fast transform."""
+    """Return the smallest number from `least` on with no factors but 2, 3 and 5, for a fast
+    transform.
+    """
     # those divide a power of 30 that is high enough
     return next(size for size in count(least) if pow(30, size.bit_length(), size) == 0)
 
 
 def nearby(x: Bools, reach: int) -> Bools:
-    """Whether any of x (N,) is true within `reach` samples."""
+    """Dilate the mask x (N,) by `reach` samples to each side."""
     before = np.cumsum(np.pad(x, (reach + 1, reach)))
     return np.asarray(before[2 * reach + 1 :] > before[: -2 * reach - 1])

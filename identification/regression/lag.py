@@ -4,11 +4,11 @@ by variances with what is known (effort timing of the recording, the described c
 To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It
 is that of the simulated torque, as column and as instrument, so that position noise does not bias
 it; least squares would find a false lag. Near a reversal friction rises smoothly where the model
-has a step, which looks like a lag, so only rows faster than a fifth of the peak speed count.
-Position noise grows with frequency and hides a lag: the rows of joint j are filtered along time by
-1 - a_1 B ... - a_6 B^6, B the row before, of its residual; with four rows before or two where
-joints reverse so often that few rows would be left. Drive gains are held in them, as the
-recorded torque is noise in whitened rows.
+has a step, which looks like a delay, so only rows faster than a fifth of the peak speed count.
+Position noise grows with frequency and hides a delay: the rows of joint j are filtered along time
+by 1 - a_1 B ... - a_6 B^6, B the row before, of its residual; with four rows before or two where
+joints reverse so often that few rows would be left. Drive gains are held in them, as the recorded
+torque is noise in whitened rows.
 """
 
 from collections.abc import Sequence
@@ -43,10 +43,10 @@ CHANCE = 0.003  # of data that a true prior differs from by more: only the data 
 
 
 def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:
-    """Combine what is known of the lag of a group with what the data give, by variances.
+    """Combine the known delay of a group with the one estimated from the data, by variances.
 
-    If both differ by more than chance in 0.3 % of cases (Student's t, degrees of freedom by Welch
-    1947), only the data count. A stated lag is used as it is. `found` is as in `Lag`.
+    If both differ significantly at a level of 0.3 % (Student's t, degrees of freedom by Welch
+    1947), only the data count. A given delay is used as it is. `found` is as in `Lag`.
     """
     value, sd, freedom = found
     if prior.stated:
@@ -61,16 +61,16 @@ def combined_lag(prior: Lag, found: tuple[float, float, int]) -> Lag:
 
 
 def lags_in(late: tuple[System, Array, int], now_s: Array, lags: Sequence[Lag]) -> list[Lag]:
-    """Solve rows of the lag by instrumental variables, and combine each lag with what is known.
+    """Solve rows of the delay by instrumental variables, and combine each delay with what is known.
 
         tau(t - L) = tau(t) - L dtau/dt                                                  (G)
 
     Parameters
     ----------
-    late : the rows of the lag and their instruments (r, p), both whitened, by this order.
-    now_s : (K,) lags about which the rows are, s.
-    lags : (K,) of each group, with what is known; only that is used where the rows do not
-        determine a lag.
+    late : the rows of the delay and their instruments (r, p), both whitened, by this order.
+    now_s : (K,) delays about which the rows are, s.
+    lags : (K,) of each group, with what is known; only that is used if the rows do not determine a
+        delay.
     """
     (system, Z, order), known = late, [lag.prior or lag for lag in lags]
     with suppress(NoFitError):  # the rows do not determine them
@@ -86,13 +86,15 @@ def lags_in(late: tuple[System, Array, int], now_s: Array, lags: Sequence[Lag]) 
 
 
 class LagFilters:
-    """The filters that whiten the rows of a recording that show its lag; `of` are the places in x
-    of the unknowns that have columns in them, the lags last.
+    """The filters that whiten the rows of a recording that show its delay.
+
+    `of`: places in x of the unknowns that have columns in them, the delays last.
     """
 
     def __init__(self, problem: Problem, of: Ints, share: Array, left: Array, speed: Array) -> None:
-        """Of a recording with the weights `share`, whose residuals `left` set the filters, by the
-        measured `speed`; all (T, n).
+        """Make the filters of a recording with the weights `share`.
+
+        The residuals `left` set the filters, by the measured `speed`; all (T, n).
         """
         self.of, self._sliding = of, np.abs(speed @ problem.model.coulomb_directions.T).max(axis=0)
         used = [
@@ -106,8 +108,9 @@ class LagFilters:
         self._filters = [np.r_[1.0, -autoregression(r * fast, self.order)] for r, fast in each]
 
     def whitened(self, rows: Array, z: MotionBlock) -> tuple[Array, Array]:
-        """The rows [Z J r] (n, columns, T) of a block, filtered, and their weights (n, T): none
-        where a row, or one that its filter reaches, is not fast along z.
+        """Return the filtered rows [Z J r] (n, columns, T) of a block, and their weights (n, T).
+
+        A row has no weight if it, or one that its filter reaches, is not fast along z.
         """
         used = fast_for_lag(z, self._sliding, self.order) & (z.share > 0)
         white, T = np.zeros_like(rows), rows.shape[2]
@@ -119,8 +122,9 @@ class LagFilters:
     def system(
         self, rows: SpanRows, share: Array, names: Sequence[str]
     ) -> tuple[System, Array, int]:
-        """The system, its instruments (r, columns), and the order of the filter, from whitened rows
-        with the weights `share` (T, n); `names` are those of x.
+        """Return the system, its instruments (r, columns), and the order of the filter.
+
+        They are made from whitened rows with the weights `share` (T, n); `names` are those of x.
         """
         A, _, followed = rows.rows(share)
         Z, J, r = np.split(A, [len(self.of), 2 * len(self.of)], axis=1)
@@ -129,16 +133,19 @@ class LagFilters:
 
 
 def fast_for_lag(motion: MotionBlock, peak: Array, order: int = LAG_ORDERS[0]) -> Bools:
-    """Rows (n, T) of a motion in which a lag shows, by the `peak` speeds (c,) along the
-    directions of Coulomb friction, behind a whitening filter of this order.
+    """Return a mask (n, T) of the rows of a motion in which a delay shows.
+
+    It is computed from the `peak` speeds (c,) along the directions of Coulomb friction, after a
+    whitening filter of this order.
     """
     speed = motion.dq[motion.decimation.instants(len(motion.dq))]
     return _fast_by_speed(motion.problem, speed, peak, order)[:, motion.inside]
 
 
 def _fast_by_speed(problem: Problem, speed: Array, peak: Array, order: int) -> Bools:
-    """Rows (n, T) in which a lag shows, by their speeds (T, n): no direction of Coulomb friction
-    that acts on the joint is slower than a share of its peak.
+    """Return a mask (n, T) of rows in which a delay shows, by their speeds (T, n).
+
+    No direction of Coulomb friction that acts on the joint is slower than a share of its peak.
     """
     percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
     directions = problem.model.coulomb_directions
@@ -152,7 +159,7 @@ def _fast_by_speed(problem: Problem, speed: Array, peak: Array, order: int) -> B
 
 
 def _behind(used: Bools, order: int) -> Bools:
-    """Rows (n, T) that are used with those that a filter of this order reaches, before them."""
+    """Extend a mask (n, T) of rows by those before them that a filter of this order reaches."""
     found, T = used.copy(), used.shape[1]
     found[:, :order] = False
     for k in range(1, order + 1):

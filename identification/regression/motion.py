@@ -1,7 +1,7 @@
 """Joint motion and torque on one time grid; the low-passed motion of a recording.
 
 What is known of a recording before its fit: the span of samples that is used, without what filters
-distort at the ends, the band of its motion, by the spectra of its positions, and the lag of the
+distort at the ends, the band of its motion, by the spectra of its positions, and the delay of the
 recorded torque.
 """
 
@@ -68,30 +68,33 @@ class Motion:
             array.flags.writeable = False
 
     def part(self, at: slice) -> "Motion":
-        """The samples `at` of it."""
+        """Return the samples `at` of it."""
         return Motion(
             t_s=self.t_s[at], q=self.q[at], dq=self.dq[at], ddq=self.ddq[at], tau=self.tau[at]
         )
 
 
 class FilteredMotion:
-    """Motion of a recording, or other positions (N, n) with its torque, at any cut-off; each
-    cut-off is filtered once, unless the recording is long. It keeps what others make of it.
+    """Motion of a recording, or of other positions (N, n) with its torque, at any cut-off.
+
+    Each cut-off is filtered once, unless the recording is long. What others make of it is kept.
     """
 
     def __init__(self, signals: Signals, q: Array | None = None) -> None:
-        """`q` (N, n): other positions than the recorded ones."""
+        """Store the signals; `q` (N, n) are other positions than the recorded ones."""
         self._signals, self._q = signals, signals.q if q is None else q
         self._made: dict[object, Any] = {}
 
     def once(self, key: object, make: Callable[[], Made]) -> Made:
-        """What is made of this motion, made once; `key`: what it is, and its settings."""
+        """Return what is made of this motion, made once; `key` says what it is, with its
+        settings.
+        """
         if key not in self._made:
             self._made[key] = make()
         return cast(Made, self._made[key])
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
-        """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
+        """Return the motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
         s, q, fs = self._signals, self._q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             q, cutoff_hz = (
@@ -108,13 +111,13 @@ class FilteredMotion:
 
 
 def differentiate(x: Array, sample_rate_hz: float) -> Array:
-    """Central differences along axis 0 (no phase shift), one-sided at the two ends."""
+    """Return central differences along axis 0 (no phase shift), one-sided at the two ends."""
     return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
 
 def sampled_at(at: Array, x: Array) -> Array:
-    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: cubic spline between
-    samples, no phase shift.
+    """Interpolate x (N, n) at places (K,) counted in samples, such as 1.5, by a cubic spline
+    without phase shift.
 
     Beyond the ends, the end samples are used.
     """
@@ -127,26 +130,30 @@ def sampled_at(at: Array, x: Array) -> Array:
 
 
 def on_spline(i: Ints, u: Array, c: Array) -> Array:
-    """The cubic spline of coefficients c (N + 3, n) at u, 0 to 1, behind the samples i (K,); u is
-    () or (K, 1).
+    """Evaluate the cubic spline of coefficients c (N + 3, n) at u, 0 to 1, after the samples i
+    (K,).
+
+    u is () or (K, 1).
     """
     return np.asarray(sum(w * c.take(i + k, axis=0) for k, w in enumerate(_spline_weights(u))))
 
 
 def _spline_weights(u: Array) -> list[Array]:
-    """Of four coefficients, by the place from 0 to 1 between samples."""
+    """Return the weights of four coefficients, by the place from 0 to 1 between samples."""
     v, uu = 1 - u, u * u  # a power of 3 takes four times as long as products
     vv = v * v
     return [w / 6 for w in (vv * v, 4 - 3 * uu * (1 + v), 4 - 3 * vv * (1 + u), uu * u)]
 
 
 def spline_coefficients(x: Array) -> Array:
-    """Coefficients (N + 3, n) of the cubic B-splines about the samples -1 to N + 1
-    that go through x (N, n).
+    """Return coefficients (N + 3, n) of the cubic B-splines that go through x (N, n).
 
-    Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4,
-    1)/6 falls by the pole 2 - sqrt(3) from sample to sample, to rounding within `SPLINE_REACH`. It
-    is 1/(1 - pole B), B the sample before, and the same backward; each as (1 + pole B)
+    The splines are about the samples -1 to N + 1. Unser, Aldroubi, Eden, IEEE Trans. Signal
+    Processing 41 (1993):
+    the inverse of the filter (1, 4, 1)/6 falls by the pole 2 - sqrt(3) from sample to sample, to
+    rounding within
+    `SPLINE_REACH`. It is 1/(1 - pole B), B the sample before, and the same backward; each as (1 +
+    pole B)
     (1 + pole² B²) (1 + pole⁴ B⁴) and so on. Beyond the ends x is reflected at its end samples.
     """
     pole, beyond = np.sqrt(3.0) - 2.0, SPLINE_REACH + 2
@@ -157,8 +164,8 @@ def spline_coefficients(x: Array) -> Array:
 
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
-    """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a
-    cubic spline between them.
+    """Compute f(q, dq, ddq) (N, ...) along a smooth motion at every `stride`-th sample, on a cubic
+    spline between them.
     """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride
@@ -177,10 +184,10 @@ def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
 def motion_between(
     q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
 ) -> Motion:
-    """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
+    """Return the filtered motion of the samples `start` to `stop` of q, tau (N, n).
 
     `cutoff_hz` None: no low-pass. Beyond the range only the samples that influence it are filtered:
-    blocks give the same result as one pass.
+    blocks give the same result as the whole.
     """
     margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)
@@ -198,8 +205,8 @@ def motion_between(
 
 
 def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
-    """(n,) largest of the `values` (n,) of joints of the same type, or of all
-    joints where that is zero.
+    """Return the largest of the `values` (n,) of joints of the same type, (n,); of all joints if
+    that is zero.
     """
     types = np.array([joint.type for joint in joints])
     found = np.array([values[types == of].max() for of in types])
@@ -207,8 +214,8 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
 
 
 def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest
-    joint of the same type.
+    """Return names of the joints whose `peak` speeds (n,) are small compared with the fastest joint
+    of the same type.
     """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
     return tuple(
@@ -218,20 +225,21 @@ def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lag:
-    """The lag of the torque of a recording, or of several of equal timing, s, positive: late.
+    """The delay of the torque of a recording, or of several of equal timing, s, positive if late.
 
     Attributes:
-        value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval
-            is `reach` deviations. A value stated by the user has no deviation.
+        value_s, sd_s: the delay and its standard error, which the intervals include; half a 95 %
+            interval is `reach` standard errors. A value given by the user has no standard error.
         source: where the value comes from.
         period_s: of the samples.
-        prior: the lag as known without a fit, if data have been combined with it.
-        found: value, deviation and its degrees of freedom by the instruments alone; None where
-            they do not determine it.
-        by_law_s: the lag where the described control law gives the effort, else None.
-        moved: (b,) shift of each parameter by one deviation of the lag.
+        prior: the delay as known without a fit, if data have been combined with it.
+        found: value, standard error and its degrees of freedom by the instruments alone; None if
+            they
+            do not determine it.
+        by_law_s: the delay at which the given control law reproduces the effort, else None.
+        moved: (b,) shift of each parameter by one standard error of the delay.
         recordings: their names.
-        order: of the filter that whitens the rows of the lag; 0 without such rows.
+        order: of the filter that whitens the rows of the delay; 0 without such rows.
     """
 
     value_s: float
@@ -248,7 +256,7 @@ class Lag:
 
     @property
     def stated(self) -> bool:
-        """Whether the user stated it."""
+        """True if the user gave it."""
         return self.sd_s == 0.0
 
     @property
@@ -258,13 +266,13 @@ class Lag:
 
     @property
     def delay_s(self) -> tuple[float, float] | None:
-        """Time from command to torque and half its interval; None without a described law."""
+        """Time from command to torque and half its interval; None without a given control law."""
         if self.by_law_s is None or self.found is None:
             return None
         return self.by_law_s - self.found[0], self.reach * self.found[1]
 
     def with_other(self, other: "Lag") -> "Lag":
-        """Both combined, weighted by their variances."""
+        """Combine both, weighted by their variances."""
         own, others = self.sd_s**-2, other.sd_s**-2
         return replace(
             self,
@@ -275,12 +283,12 @@ class Lag:
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> Lag:
-    """Return the lag of a recording's torque as known without a fit: the value at which the lag
-    among the unknowns starts, and its deviation.
+    """Return the delay of a recording's torque as known without a fit.
 
-    A command held for a control period is half that period early: it is recorded at the tick and
-    acts, on average, half a period later. Without a described period it is that of the samples.
-    `"none"` states a lag of 0.
+    The delay among the unknowns starts at this value, with this standard error. A command held for
+    a control period is half that period early: it is recorded at the tick and acts, on average,
+    half a period later. Without a given period it is that of the samples. `"none"` specifies a
+    delay of 0.
     """
     stored = signals.robot.identification
     given = stored.torque_lag_s if overrides.torque_lag_s is None else overrides.torque_lag_s
@@ -298,9 +306,9 @@ def known_lag(signals: Signals, overrides: Overrides) -> Lag:
 def find_span(
     signals: Signals, motion: FilteredMotion, cutoff_hz: float, wanted: Span
 ) -> tuple[SpanKind, tuple[int, int], tuple[str, ...]]:
-    """Kind of the span, its first and last sample, and standing joints, if these are determined.
+    """Return the kind of the time range, its first and last sample, and joints at rest.
 
-    `cutoff_hz` separates motion from noise.
+    `cutoff_hz` separates motion from noise. Joints at rest are None if they are not determined.
     """
     N = len(signals.q)
     if wanted == "all":
@@ -323,8 +331,8 @@ def find_span(
 
 
 def with_torque(signals: Signals, span: tuple[int, int], lag: Lag) -> range:
-    """The samples of a span that no stated cut takes, and whose torque is recorded at any likely
-    lag.
+    """Return the samples of a time range that no given cut removes, and whose torque is recorded at
+    any likely delay.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
@@ -337,8 +345,9 @@ def with_torque(signals: Signals, span: tuple[int, int], lag: Lag) -> range:
 def inside_borders(
     signals: Signals, widest: range, cutoff_hz: float | None, decimation: int, span: str
 ) -> range:
-    """The samples that the low-pass does not distort, where no cut is stated. If they are too few
-    for `decimation`, the error has the span in words.
+    """Return the samples that the low-pass does not distort, if no cut is given.
+
+    If they are too few for `decimation`, the error has the time range in words.
     """
     stored, border = signals.robot.identification, border_samples(cutoff_hz, signals.sample_rate_hz)
     used = range(
@@ -356,12 +365,12 @@ def inside_borders(
 
 
 def border_samples(cutoff_hz: float | None, fs: float) -> int:
-    """Samples at an end of a recording that the low-pass distorts."""
+    """Return the number of samples at an end of a recording that the low-pass distorts."""
     return 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
 
 
 def motion_end_hz(signals: Signals) -> float:
-    """The frequency above which no joint's position is more than noise, Hz."""
+    """Return the frequency above which no joint's position is more than noise, Hz."""
     fs, N = signals.sample_rate_hz, min(len(signals.q), _SPECTRUM) // _SEGMENTS
     if N < 3:  # no spectrum: the settings refuse so short a recording
         return fs
@@ -373,8 +382,9 @@ def motion_end_hz(signals: Signals) -> float:
 
 
 def motion_band_hz(signals: Signals) -> float:
-    """The frequency below which nearly all power of each joint's speed lies, Hz, without noise and
-    joints that stand.
+    """Return the frequency below which nearly all power of each joint's speed lies, Hz.
+
+    Noise and joints at rest do not count.
     """
     stride = max(1, min(len(signals.q), _SPECTRUM) // _SAMPLES)
     steps = np.diff(signals.q[:_SPECTRUM:stride], axis=0)
@@ -391,8 +401,9 @@ def motion_band_hz(signals: Signals) -> float:
 
 
 def _above_noise(power: Array, f: Array) -> Bools:
-    """Where spectra (F, n) of steps of the position are above white noise of the position, which is
-    told by the upper half of the frequencies f (F,), in parts of the rate.
+    """Return a mask of spectra (F, n) of steps of the position above white noise of the position.
+
+    The upper half of the frequencies f (F,), in parts of the rate, shows that noise.
     """
     of_position = power / np.sin(np.pi * f[:, None]) ** 2
     return np.asarray(of_position > _FLOOR * np.median(of_position[f > 0.25], axis=0))

@@ -39,12 +39,15 @@ class PayloadColumns:
     """A payload in the base parameters of its robot: K_n phi = known + columns phi_f.
 
     Attributes:
-        payload: as stated; `model`: of the robot.
+        payload: as given.
+        model: of the robot.
         names: (f,) of the parameters phi_f that are estimated, such as MX:loaded; with R if others
-            are regrouped into it.
+            are
+            regrouped into it.
         grouping: (f, 10) phi_f = grouping phi.
         known: (b,) base parameters of what is known, `fixed` (10,).
-        columns: (b, f) base parameters per unit of phi_f; `whole`: (b, 10) K_n.
+        columns: (b, f) base parameters per unit of phi_f.
+        whole: (b, 10) K_n.
     """
 
     payload: Payload
@@ -58,8 +61,8 @@ class PayloadColumns:
 
     @cached_property
     def stated(self) -> dict[str, tuple[float, float]]:
-        """First moments that are estimated though the centre of mass is stated, kg m:
-        values and half-widths.
+        """First moments that are estimated though the centre of mass is given, kg m: values and
+        half- widths.
         """
         payload = self.payload
         if payload.mass_kg is None or payload.center_of_mass_m is None:
@@ -76,9 +79,11 @@ class PayloadColumns:
         }
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
-        """By the half-width of the mass, and of each coordinate of a centre of mass that is not
-        estimated: moves of the base parameters (b,), and of what is stated of the unknowns `names`
-        (p,), which moves them too.
+        """Return, by the half-width of the mass and of each coordinate of a centre of mass that is
+        not estimated, changes.
+
+        These are changes of the base parameters (b,), and of the given values of the unknowns
+        `names` (p,).
         """
         payload, moments = self.payload, {name: value for name, (value, _) in self.stated.items()}
         mass, found = payload.mass_kg or 0.0, list[tuple[Array, Array]]()
@@ -96,14 +101,19 @@ class PayloadColumns:
         return found
 
     def values(self, estimate: Estimate) -> Array:
-        """(b,) base parameters of the payload by an estimate."""
+        """Return the base parameters (b,) of the payload by an estimate."""
         return self.known + self.columns @ estimate.values_of(self.names)
 
     def nearest_body(self, phi: Array, covariance: Array | None) -> tuple[Array, Array, Bools]:
-        """The body of positive density nearest to phi_f (f,) of this covariance (f, f),
-        by the prior of a ball.
+        """Find the rigid body with positive mass density nearest to phi_f (f,) of this covariance
+        (f, f).
 
-        Returns XX XY XZ YY YZ ZZ MX MY MZ M (10,), their deviations, and which come from the prior.
+        The prior is a ball.
+
+        Returns
+        -------
+        XX XY XZ YY YZ ZZ MX MY MZ M (10,), their standard errors, and a mask of those from the
+        prior.
         """
         given = {payload_parameter(name): x for name, x in zip(self.names, phi, strict=True)}
         by_place = [given.get(name, x) for name, x in zip(LINK, self.fixed, strict=True)]
@@ -134,13 +144,11 @@ class PayloadColumns:
 def payload_columns(
     problems: Sequence[Problem], labels: Sequence[str], *, scale: bool
 ) -> list[PayloadColumns | None]:
-    """The payload of each recording, None for none; equal payloads have the same parameters.
+    """Return the payload of each recording, None for none; equal payloads have the same parameters.
 
-    A stated centre of mass of some half-width is estimated, unless the mass alone would not
-    determine the `scale` of gains.
-
-    If no recording is without payload, the unknown part of the lightest is left out: the base
-    parameters are those of the robot that carries it.
+    A given centre of mass with a half-width is estimated, unless the mass alone would not determine
+    the `scale` of gains. If no recording is without payload, the unknown part of the lightest is
+    left out: the base parameters are those of the robot that carries it.
     """
     payloads, found = (
         [problem.signals.payload for problem in problems],
@@ -193,7 +201,7 @@ def _columns(
 
 
 def _independent(P: Array, places: Sequence[int]) -> list[int]:
-    """Those of `places` whose columns are no combination of the ones before."""
+    """Return those of `places` whose columns are no combination of the ones before."""
     found, basis = list[int](), np.zeros((len(P), 0))
     for place in places:
         rest = P[:, place] - basis @ (basis.T @ P[:, place])

@@ -66,8 +66,10 @@ class Problem:
         )
 
     def drives(self, start: int, stop: int, lag_s: float, kappa: Array | None = None) -> Array:
-        """(N, n) torque of the drives that is recorded `lag_s` behind the samples `start` to
-        `stop`, by factors `kappa` (n,) on the described gains, by default those that were found.
+        """Return the torque (N, n) of the drives that is recorded `lag_s` after the samples `start`
+        to `stop`.
+
+        `kappa` (n,): factors on the given drive gains, by default those that were estimated.
         """
         kappa = self.gains if kappa is None else kappa
         s, by = self.signals, lag_s * self.signals.sample_rate_hz
@@ -83,21 +85,22 @@ class Problem:
 
     @property
     def kinds(self) -> list[str]:
-        """(b,) kinds of the base parameters that are of joints; empty for those of links."""
+        """Kinds of the base parameters that belong to joints, (b,); empty for those of links."""
         return [getattr(self.model.sources[c], "kind", "") for c in self.base.columns]
 
     def term_of(self, name: str) -> JointTerm:
-        """The term of a joint that a base parameter stands for alone."""
+        """Return the term of a joint that a base parameter represents alone."""
         return self.model.terms[int(self.base.columns[self.base.names.index(name)])]
 
     def joint_of(self, name: str) -> str:
-        """The name of its joint, of the last one if it acts at several."""
+        """Return the name of its joint, of the last one if it acts at several."""
         return self.signals.robot.joints[int(self.term_of(name).rows[-1])].name
 
     @cached_property
     def exact(self) -> bool:
-        """Whether columns are computed at every sample: beside those of drives and of load
-        friction, others are not exact enough.
+        """True if columns are computed at every sample.
+
+        Beside those of drives and of load-dependent friction, others are not exact enough.
         """
         robot = self.signals.robot
         return (
@@ -108,16 +111,17 @@ class Problem:
 
     @property
     def slip_cutoff_hz(self) -> float:
-        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit
-        has none or a higher one.
+        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit has
+        none or a higher one.
         """
         own_hz = self.settings.cutoff_hz if self.settings.filtered else None
         return rule_cutoff_hz(self.signals) if own_hz is None else own_hz
 
     def measured_samples(self, beside: int = 0) -> Bools:
-        """Which samples (N,) are far from all that were not measured: by half a period of the
-        low-pass, which smears their positions, by what the lag may move their torques, and by
-        `beside` samples.
+        """Return a mask (N,) of samples far from all that were not measured.
+
+        Far means by half a period of the low-pass, which smears their positions, by what the delay
+        may shift their torques, and by `beside` samples.
         """
         fs, lag = self.signals.sample_rate_hz, self.settings.known_lag
         if self.signals.measured is None:
@@ -129,20 +133,24 @@ class Problem:
         )
 
     def measured_rows(self) -> Bools:
-        """Which decimated rows (rows,) have only measured samples within the rows in which the
-        filter rings by more than a thousandth; all rows, if that leaves none.
+        """Return a mask (rows,) of decimated rows with only measured samples where the filter rings
+        by more than a thousandth.
+
+        If none remain, the mask has all rows.
         """
         far = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
         return far | ~far.any()
 
     @cached_property
     def without_samples(self) -> "Problem":
-        """The same without samples: settings, model, which were measured, and `source`."""
+        """The same problem without samples: settings, model, a mask of measured samples, and
+        `source`.
+        """
         signals = replace(self.signals.first(0), measured=self.signals.measured, health={})
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":
-        """The same with its samples, read again if they are left out."""
+        """Return the same with its samples, read again if they are left out."""
         if len(self.signals.q) or self.source is None:
             return self
         of = self.signals  # with its bandwidth
@@ -151,14 +159,15 @@ class Problem:
 
     @cached_property
     def for_errors(self) -> "Problem":
-        """The same behind the filters behind which torque errors are told."""
+        """The same with the filters of torque errors."""
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
         return replace(self, signals=signals, settings=self.settings.for_errors(self.signals))
 
     def first_minutes(self) -> "Problem":
-        """The first minutes of the span used, and some seconds more for the filters; itself if it
-        is no longer.
+        """Return the first minutes of the time range used, and some seconds more for the filters.
+
+        A shorter problem returns itself.
         """
         s, fs = self.settings, self.signals.sample_rate_hz
         if (stop := s.start + round(FIRST_MINUTES_S * fs)) >= s.stop:
@@ -173,8 +182,8 @@ class Problem:
         )
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
-        """The same without friction terms that are regrouped with nothing;
-        warnings have the reasons.
+        """Return the same without friction terms that are regrouped with nothing; warnings have the
+        reasons.
         """
         return replace(
             self,
@@ -184,9 +193,7 @@ class Problem:
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
-    """Refuse names in `gains` that are no motors, and motors that are not named and
-    whose gain is not known.
-    """
+    """Refuse names in `gains` that are not motors, and unnamed motors whose gain is not known."""
     names, place = (
         {motor.name: motor.gain for motor in signals.robot.motors},
         Location(f"robot {signals.robot.name}"),
@@ -203,10 +210,11 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
-    """The input of a fit.
+    """Make the input of a fit.
 
-    Raises `BadInputError` if the settings do not suit the recording, or the
-    robot cannot be modelled.
+    Raises
+    ------
+    BadInputError : the settings do not suit the recording, or the robot cannot be modelled.
     """
     if overrides.gains:
         if "all" not in overrides.gains:
@@ -226,17 +234,17 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
 
 def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
-    """The same with torque errors told for a common band of motion, the widest."""
+    """Return the problems with torque errors in a common band of motion, the widest."""
     band_hz = max(one.settings.band_hz for one in problems)
     return [replace(one, settings=replace(one.settings, band_hz=band_hz)) for one in problems]
 
 
 def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
-    """The rows of the span used, in blocks: the rows that the filters need samples of, and in these
-    the rows of the block itself. The borders depend only on the recording.
+    """Return the rows of the time range used, in blocks.
 
-    The margins are as long as the reach of the filters, and no block is shorter: blocks give the
-    same result as one pass.
+    Each block has the rows that the filters need samples of, and in these its own rows. The borders
+    depend only on the recording. The margins are as long as the reach of the filters, and no block
+    is shorter: blocks give the same result as the whole.
     """
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)

@@ -39,7 +39,7 @@ class Equation:
     Attributes:
         problem: recording, settings, and model of the robot.
         unknowns: x.
-        arm, drives, load, stated: its terms.
+        arm, drives, load, given: its terms.
     """
 
     problem: Problem
@@ -52,12 +52,12 @@ class Equation:
 
     @cached_property
     def kept(self) -> tuple[MotionBlock, ...]:
-        """The measured motion of a short recording in blocks, made once; empty for a long one."""
+        """Measured motion of a short recording in blocks, made once; empty for a long one."""
         few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
         return tuple(motion_blocks(self.problem)) if few else ()
 
     def read(self) -> "Equation":
-        """The same with the samples of its recording."""
+        """Return the same with the samples of its recording."""
         read = self.problem.with_samples()
         return self if read is self.problem else replace(self, problem=read)
 
@@ -70,8 +70,10 @@ class Equation:
     def by_block(
         self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None
     ) -> Iterator[Any]:
-        """The results of a task for each block of the measured motion, with the torque that the
-        drives have by x (p,), and of another motion; on workers some blocks at a time.
+        """Return the results of a task for each block of the measured motion, and of another
+        motion.
+
+        The drives have the torque by x (p,). On workers some blocks are computed at a time.
         """
         each = zip(
             (
@@ -104,7 +106,9 @@ class Equation:
 
 
 def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE) -> Equation:
-    """Make the equation of motion of recording k: arm, drives, and load friction and the stated."""
+    """Make the equation of motion of recording k: arm, drives, load-dependent friction, and given
+    values.
+    """
     arm, motors = unknowns.arms[k], problem.signals.robot.motors
     places = {motor_of(name): i for i, name in enumerate(unknowns.all) if is_gain(name)}
     return Equation(
@@ -122,7 +126,9 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE)
 
 
 def equation_alone(problem: Problem) -> tuple[Equation, Array]:
-    """Return the equation of motion of a recording by itself, and x (p,) of nothing but its lag."""
+    """Return the equation of motion of a recording by itself, and x (p,) of nothing but its
+    delay.
+    """
     unknowns = make_unknowns([problem])
     return equation_of(problem, unknowns, 0), unknowns.start([problem.settings.torque_lag_s])
 
@@ -134,17 +140,19 @@ class Rows:
     Attributes:
         x: (p,) values of the unknowns.
         system: of the free ones: W = J, Y = r + J x.
-        L: (r, h + K) columns of what is held, and of the lags; without these, (r, h), where W and
-            Y alone were asked for.
-        C: (r, k) columns of terms that are not in the model; (r, 0) until they are asked for;
-            `fast`: (r,) which rows of them show a lag.
+        L: (r, h + K) columns of held values, and of the delays; (r, h) without delays if only W and
+            Y
+            were requested.
+        C: (r, k) columns of terms that are not in the model; (r, 0) unless requested.
+        fast: (r,) mask of the rows of C that show a delay.
         G: (r, g) columns of links at rest, with C.
         Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
         tau, speed: (T, n) decimated torques by x, not weighted, and speeds of the joints.
         most: (k, n) largest decimated torques of the drives in each of the blocks.
-        recorded: whether Z are along the measured motion.
-        late: rows of the lag, of unknowns but gains: residual r, columns J and last of the lags;
+        recorded: True if Z are along the measured motion.
+        late: rows of the delay, of unknowns but gains: residual r, columns J and last of the
+            delays;
             instruments; order of the filter that whitens them. None along the measured motion.
     """
 
@@ -169,18 +177,18 @@ class Rows:
 
     @cached_property
     def counts(self) -> Bools:
-        """(T, n) whether a decimated sample counts."""
+        """Mask of decimated samples that count, (T, n)."""
         return self.share > 0
 
     def of(self, places: Ints) -> System:
-        """The system of some of the free unknowns; the others are held at x."""
+        """Return the system of some of the free unknowns; the others are held at x."""
         system, held = self.system, np.delete(np.arange(len(self.system.names)), places)
         if not len(held):
             return system
         return replace(system, Y=system.Y - system.W[:, held] @ self.x[held]).with_columns(places)
 
     def without(self, names: Collection[str]) -> "Rows":
-        """The same without the columns of some parameters."""
+        """Return the same without the columns of some parameters."""
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         return replace(
@@ -191,8 +199,8 @@ class Rows:
         )
 
     def linearised_at(self, x: Array) -> "Rows":
-        """The same about other values of what is held and of the lags, to first order, without rows
-        of the lag.
+        """Return the same about other held values and delays, to first order, without rows of the
+        delay.
         """
         Y = self.system.Y - self.L @ (x - self.x)[len(self.system.names) :]
         return replace(self, x=x, late=None, system=replace(self.system, Y=Y))
@@ -206,9 +214,12 @@ def _rows_of_block(
     motion: MotionBlock,
     z: MotionBlock | None,
 ) -> tuple[SpanRows, SpanRows, Array, Array, Array, Array, Ints]:
-    """Of a block, along its measured motion and along `z`, None for the same: the rows [G C Z J r],
-    and those of the lag; (rows, n) torque, speed, weights of the rows of the lag; `most`; and where
-    the rows are split. What is `asked`: places (k,) of Z in x, further columns, filters of the lag.
+    """Return the rows [G C Z J r] of a block, along its measured motion and along `z`, None for the
+    same.
+
+    Those of the delay follow; (rows, n) torque, speed, weights of the rows of the delay; `most`;
+    and where the rows are split. `asked`: places (k,) of Z in x, further columns, filters of the
+    delay.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
     known = motion.problem.signals.known_torque
@@ -259,11 +270,11 @@ def rows_of_recording(
     along : blocks of another motion, along which Z are the columns, such as that of the simulated
         robot (D). Without one, Z are along the measured motion, with the torque of the drives that
         x predicts, as the recorded one is noisy.
-    of_lag : whether there are rows of the lag (G), along the other motion.
+    of_lag : True if there are rows of the delay (G), along the other motion.
 
     Returns
     -------
-    The rows, torques in N m or N, stacked by joint and span of time.
+    The rows, torques in N m or N, stacked by joint and time block.
     """
     unknowns = (equation := equation.read()).unknowns
     share = sample_weights(equation.problem).of_rows
@@ -298,14 +309,18 @@ def rows_of_recording(
 
 
 def _lag_filters(equation: Equation, x: Array, share: Array) -> LagFilters:
-    """The filters of the rows of the lag, by the residuals about x with the weights `share`."""
+    """Return the filters of the rows of the delay, by the residuals about x with the weights
+    `share`.
+    """
     tau, (predicted,), _, speed, *_ = torque_of_recording(equation, x)
     of = np.r_[equation.unknowns.arm, equation.unknowns.lags]
     return LagFilters(equation.problem, of, share, share * (tau - predicted), speed)
 
 
 def _collected(blocks: Iterable[Any]) -> tuple[SpanRows, SpanRows, list[Array]]:
-    """What `_rows_of_block` gives of all blocks: rows, those of the lag, and the arrays."""
+    """Collect what `_rows_of_block` returns of all blocks: rows, those of the delay, and the
+    arrays.
+    """
     rows, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
     for of_block, of_lag, *arrays in blocks:
         rows.add(of_block)
@@ -339,21 +354,24 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 def torque_of_recording(
     equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
 ) -> tuple[Array, Array, Bools, Array, Array, Ints]:
-    """Compute the torques of a recording, decimated, without weights and without W; those of links
-    are on a spline between samples of a low-passed motion, at the rule's decimation within 1e-6.
+    """Compute the torques of a recording, decimated, without weights and without W.
+
+    Those of links are on a spline between samples of a low-passed motion, at the rule's decimation
+    within 1e-6.
 
     Parameters
     ----------
     equation : the equation of motion of the recording.
-    x : (p,) unknowns, whose lag and gains the measured torque has.
+    x : (p,) unknowns, whose delay and gains the measured torque has.
     sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
-        many equal spans of the rows.
-    judged : whether they are behind the filters of errors, not those of the fit.
+        many equal parts of the rows.
+    judged : True for the filters of errors, False for those of the fit.
 
     Returns
     -------
-    Measured torque (T, n), that predicted by each set (K, T, n), N m or N, which rows
-    (T, n) count, joint speed (T, n), rad/s or m/s, instants (T,), s, and rows of the fit there.
+    Measured torque (T, n), that predicted by each set (K, T, n), N m or N, a mask of the rows (T,
+    n)
+    that count, joint speed (T, n), rad/s or m/s, instants (T,), s, and rows of the fit there.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
     rows = len(s.instants)
@@ -383,7 +401,9 @@ def torque_of_recording(
 def _torque_of_block(
     groups: Sequence[tuple[Ints, Array]], motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
-    """Torque measured, and predicted in spans between samples by betas (spans, K, b); speed."""
+    """Return the measured torque, the torque predicted between samples by betas (parts, K, b), and
+    the speed.
+    """
     problem, stride, N = motion.problem, motion.torque_stride, len(motion.q)
     first, predicted = round(motion.t_s[0] * problem.signals.sample_rate_hz), list[Array]()
     for edges, betas in groups:

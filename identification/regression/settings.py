@@ -9,10 +9,10 @@ reference, and which the description states:
     border                      5 periods of w_fq at an end of the recording, where the low-pass
                                 has no samples beyond it: they are cut
 
-Where no bandwidth is stated, low-pass, rows and simulated loop end where the motion does, by its
+Where no bandwidth is given, low-pass, rows and simulated loop end where the motion does, by its
 spectrum. Between borders the samples are those of the recording's tracking phase or, without one,
 from the first motion to the last. They are fewer where the torque is recorded late or early, so
-that a lag of any likely value has samples: what is known of it is in `motion`.
+that a delay of any likely value has samples: what is known of it is in `motion`.
 
 Slow samples weigh nothing, by a threshold that least squares and instruments have each their own.
 What of this the description or an option states replaces the rule, with a warning where that
@@ -75,15 +75,17 @@ class Settings:
     Attributes:
         cutoff_hz: low-pass of the position (one direction), None without.
         decimator: the decimation of torque and regressor.
-        used: the samples that are used; `widest`: with those that filters distort at the ends;
-            `samples`: of the recording; `span_kind`: what they are, a key of `SPANS`.
-        filtered: whether the low-pass is that of the rule, or a lower one.
+        used: the samples that are used.
+        widest: the same with those that filters distort at the ends.
+        samples: those of the recording.
+        span_kind: kind of the time range, a key of `SPANS`.
+        filtered: True if the low-pass is that of the rule, or a lower one.
         band_hz: of the motion: below it lies nearly all power of each joint's speed.
-        low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method
-            of this fit (`weights`).
-        ramp_rows: L of the weights, in rows.
-        lag: of the recorded torque, that is corrected; of one that a fit found `prior` is the one
-            known without.
+        low_speed: slower samples have zero weight, by method.
+        low_speed_percent: of the method of this fit (`weights`).
+        ramp_rows: weight taper L, in rows.
+        lag: the delay of the recorded torque, which is corrected; if a fit estimated it, `prior` is
+            the one known without.
         overloads: recorded efforts beyond a limit of the description, each a warning too.
         warnings: rules of the method that are not followed.
     """
@@ -105,12 +107,12 @@ class Settings:
 
     @property
     def start(self) -> int:
-        """The first sample that is used."""
+        """First sample that is used."""
         return self.used.start
 
     @property
     def stop(self) -> int:
-        """The sample behind the last one that is used."""
+        """Sample after the last one that is used."""
         return self.used.stop
 
     @property
@@ -120,7 +122,7 @@ class Settings:
 
     @property
     def span_rule(self) -> Span:
-        """The setting of the span."""
+        """The setting of the time range."""
         return "all" if self.span_kind == "all" else "motion"
 
     @property
@@ -130,27 +132,30 @@ class Settings:
 
     @property
     def edges(self) -> Edges:
-        """How the decimation treats the two ends."""
+        """Treatment of the two ends by the decimation."""
         return "smooth" if self.decimator.smooth_ends else "matlab"
 
     @property
     def torque_lag_s(self) -> float:
-        """The lag that is corrected, s, positive if late; 0 for none."""
+        """Delay that is corrected, s, positive if late; 0 for none."""
         return self.lag.value_s
 
     @property
     def known_lag(self) -> Lag:
-        """The lag as known without a fit, by user and recording."""
+        """Delay as known without a fit, by user and recording."""
         return self.lag.prior or self.lag
 
     @property
     def instants(self) -> Ints:
-        """The samples (rows,) of the decimated rows: the last of the span, every n_d-th before."""
+        """Samples (rows,) of the decimated rows: the last of the time range, every n_d-th
+        before.
+        """
         return self.start + self.decimator.instants(len(self.used))
 
     def for_errors(self, signals: Signals) -> "Settings":
-        """The same with the filters behind which torque errors are told; those of the fit, with a
-        warning, where the recording is too short for them.
+        """Return the same with the filters of torque errors.
+
+        If the recording is too short for them, these are the filters of the fit, with a warning.
         """
         fs = signals.sample_rate_hz
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
@@ -178,8 +183,8 @@ class Settings:
 
 
 def with_bandwidth(signals: Signals) -> Signals:
-    """The signals with a bandwidth of the position loop: that of the description, or one that
-    follows the recorded motion.
+    """Return the signals with a bandwidth of the position loop: the given one, or one that follows
+    the motion.
 
     The tracking of the reference does not show it: with speed fed forward the position follows
     without an error, and a reference recorded some milliseconds early has one without a loop.
@@ -197,13 +202,13 @@ def with_bandwidth(signals: Signals) -> Signals:
 def make_settings(
     signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None
 ) -> Settings:
-    """Settings for a recording: rules from the position loop's bandwidth, then
-    robot.toml, then options.
+    """Make settings for a recording: rules from the position loop's bandwidth, then robot.toml,
+    then options.
 
-    Cut-off 5 times the bandwidth, or the end of the motion if no bandwidth is stated; decimation
-    n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between first and last motion,
-    or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end
-    of the recording. `motion` is that of the recording, if there is one.
+    The cut-off is 5 times the bandwidth, or the end of the motion if no bandwidth is given;
+    decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the time range between first
+    and last motion, or the recording's tracking phase; 5 periods of the cut-off are cut where that
+    range reaches an end of the recording. `motion` is that of the recording, if there is one.
     """
     _refuse_low_rate(signals)
     stored, given = signals.robot.identification, overrides.low_speed_percent
@@ -272,11 +277,15 @@ def _refuse_low_rate(signals: Signals) -> None:
 
 
 def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
-    """The cut-off, stated or, for None, by the rule; None for no low-pass, which the rule has where
-    half the rate is below it.
+    """Return the cut-off, given or, for None, by the rule; None for no low-pass.
 
-    Raises `BadInputError` for a stated one above half the rate, and `NoFitError` where a recording
-    is shorter than the border of the low-pass, or than a period of the loop.
+    The rule has none if half the rate is below it.
+
+    Raises
+    ------
+    BadInputError : a given cut-off is above half the rate.
+    NoFitError : a recording is shorter than the border of the low-pass, or than a period of the
+        loop.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
     asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
@@ -310,7 +319,7 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
 def _warnings_of_filters(
     signals: Signals, stated_hz: float | None, cutoff_hz: float | None, decimation: int
 ) -> list[str]:
-    """What low-pass and decimation do not follow of the rules."""
+    """Return warnings on rules that low-pass and decimation do not follow."""
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     highest_hz, passband_hz = _highest_hz(signals), 0.8 * fs / (2 * decimation)
     lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
@@ -344,24 +353,24 @@ def _warnings_of_filters(
 
 
 def _highest_hz(signals: Signals) -> float:
-    """Where the low-pass of the rule ends."""
+    """Return the frequency where the low-pass of the rule ends."""
     return signals.motion_hz or CUTOFF_PER_BANDWIDTH * signals.robot.bandwidth_hz
 
 
 def _row_rule(signals: Signals) -> int:
-    """The decimation of the rule."""
+    """Return the decimation of the rule."""
     rows_hz = signals.motion_hz or DECIMATED_PER_BANDWIDTH * signals.robot.bandwidth_hz
     return decimation_rule(signals.sample_rate_hz, rows_hz / DECIMATED_PER_BANDWIDTH)
 
 
 def rule_cutoff_hz(signals: Signals) -> float:
-    """Cut-off by the rule, at most 0.4 times the rate."""
+    """Return the cut-off by the rule, at most 0.4 times the rate."""
     return min(_highest_hz(signals), MAX_CUTOFF_SHARE * signals.sample_rate_hz)
 
 
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
-    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower
-    number with small factors.
+    """Return n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower number with
+    small factors.
     """
     n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
     while any(r > MAX_PASS for r in decimation_passes(n_d)):

@@ -29,13 +29,13 @@ STATES = 300  # rows of a recording to evaluate friction at
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drives:
-    """The torque of the drives, -sum_m kappa_m E_m(t + L), equation (I): factors kappa on the
-    described gains and the lag L are unknowns.
+    """The torque of the drives, -sum_m kappa_m E_m(t + L), equation (I).
 
-    E_m is the torque at the joints of motor m by its described gain.
+    Factors kappa on the given drive gains and the delay L are unknowns. E_m is the torque at the
+    joints of motor m by its given gain.
 
     Attributes:
-        gains: (n,) places of kappa in x; -1 for a gain that is described.
+        gains: (n,) places of kappa in x; -1 for a given gain.
         lag: place of L in x, in s; positive: the torque is recorded late.
     """
 
@@ -78,16 +78,17 @@ class Drives:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
-    """Load friction, equation (H): mu_j |tau_links| sign(dq_j), with tau_links the torque of the
-    links alone on the motion's own grid, before any decimation.
+    """Load-dependent friction, equation (H): mu_j |tau_links| sign(dq_j).
 
-    About x its columns are |tau_links| sign(dq) of mu_j, and mu_j s W of the links' parameters,
-    s = sign(tau_links) sign(dq): the residual is that of the model itself, so steps converge to
-    the best fit, and intervals are valid for mu and the links together.
+    tau_links is the torque of the links alone on the motion's own grid, before any decimation.
+    About x its columns are |tau_links| sign(dq) of mu_j, and mu_j s W of the links' parameters, s =
+    sign(tau_links) sign(dq): the residual is that of the model itself, so steps converge to the
+    best fit, and intervals are valid for mu and the links together.
 
     Attributes:
         arm: whose base parameters have it.
-        joints, places: the joints (k,) with load friction, and the places of their mu in beta.
+        joints, places: the joints (k,) with load-dependent friction, and the places of their mu in
+            beta.
     """
 
     arm: Arm
@@ -122,7 +123,7 @@ class Load:
 
 
 def load_of(problem: Problem, arm: Arm) -> tuple[Load, ...]:
-    """Return the load friction of a robot; none if it has none."""
+    """Return the load-dependent friction of a robot; none if it has none."""
     places = [i for i, kind in enumerate(problem.kinds) if kind == "load"]
     joints = [int(problem.term_of(problem.base.names[i]).rows[0]) for i in places]
     return (Load(arm=arm, joints=joints, places=places),) if places else ()
@@ -141,14 +142,16 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
 
 
 def why_not_simulated(problem: Problem, arm: Arm, x: Array) -> str | None:
-    """Why the robot of x (p,) cannot be simulated in a recording; None if it can."""
+    """Return why the robot of x (p,) cannot be simulated in a recording; None if it can."""
     return why_not_positive(
         direct_model_of_base(problem.model, problem.base, arm.beta(x)).inertia(problem.poses)
     )
 
 
 def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
-    """About 300 rows (k,) of a recording, evenly spaced; q, dq, ddq (k, n) at their instants."""
+    """Return about 300 rows (k,) of a recording, evenly spaced, and q, dq, ddq (k, n) at their
+    instants.
+    """
     rows, blocks = len(problem.settings.instants), motion_blocks(problem.with_samples())
     wanted = np.arange(0, rows, max(1, rows // STATES))
     parts = [[motion.kept(x) for x in (motion.q, motion.dq, motion.ddq)] for motion in blocks]
@@ -157,8 +160,10 @@ def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
 
 
 def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None:
-    """Speeds and loads (m, n), by states of a recording and base parameters beta (b,), to evaluate
-    the power of further friction terms at; None where there is viscous and Coulomb friction only.
+    """Return speeds and loads (m, n) at which the power of further friction terms is evaluated.
+
+    They are made from states of a recording and base parameters beta (b,); None if there is viscous
+    and Coulomb friction only.
     """
     if not any(j.one_sided or set(j.terms) & set(SHAPES) for j in problem.signals.robot.joints):
         return None
@@ -167,8 +172,9 @@ def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None
 
 
 def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
-    """Friction power (m, p) per unit of the standard parameters at recorded speeds, by the link
-    torque of base parameters beta (b,); None without further friction terms.
+    """Return the friction power (m, p) per unit of the standard parameters at recorded speeds.
+
+    The link torque is that of base parameters beta (b,); None without further friction terms.
     """
     found = [
         friction_power(problem.model, np.arange(problem.model.p), *states)
@@ -179,7 +185,7 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
-    """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
+    """Return speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
     motion = next(motion_blocks(problem.with_samples()))
     q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem, beta, q, dq, ddq)

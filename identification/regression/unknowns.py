@@ -10,11 +10,11 @@ in this order:
                                     the order of the recordings, in the place of the common one
     MX:loaded ...                   what is estimated of each payload
     K:motor_1 ...                   gains of drives, as factors on the described ones
-    K:motor_2, half-width 0:0 ...   what is stated with a half-width
-    lag 0 ...                       the lag of each group of recordings
+    K:motor_2, half-width 0:0 ...   what is given with a half-width
+    lag 0 ...                       the delay of each group of recordings
 
-Rows determine all up to the gains: these are the free unknowns. What is stated is held at its
-value, its columns only widen the intervals; the lags have rows of their own.
+Rows determine all up to the gains: these are the free unknowns. What is given is held at its
+value, its columns only widen the intervals; the delays have rows of their own.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,7 +40,9 @@ KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
 
 
 def base_places(names: Sequence[str]) -> Ints:
-    """Places of the base parameters in names, some of which may be of payloads and gains."""
+    """Return the places of the base parameters in names, some of which may be of payloads and
+    gains.
+    """
     return np.flatnonzero([bool(is_base(name)) for name in names])
 
 
@@ -63,41 +65,44 @@ class Arm:
     payload: PayloadColumns | None = None
 
     def beta(self, x: Array) -> Array:
-        """(b,) base parameters."""
+        """Return the base parameters (b,)."""
         return np.asarray(self.P @ x + self.known)
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """F[w IDM] beta, without load friction."""
+        """Return F[w IDM] beta, (n, rows), without load-dependent friction."""
         return np.asarray(self.beta(x) @ motion.W)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """W P."""
+        """Return W P, (n, p, rows)."""
         return np.asarray(self.P.T @ motion.W)
 
     @property
     def own(self) -> set[str]:
-        """Names of the parameters that other recordings do not have; those of equal
-        payloads are the same.
+        """Names of the parameters that other recordings do not have; those of equal payloads are
+        the same.
         """
         return set(filter(is_own, self.names)) | set(self.payload.names if self.payload else ())
 
     def values(self, estimate: Estimate) -> Array:
-        """(b,) base parameters by an estimate, in which unknowns that it lacks are zero."""
+        """Return the base parameters (b,) by an estimate, in which unknowns that it lacks are
+        zero.
+        """
         return self.beta(estimate.values_of(self.unknowns))
 
     def carried(self, estimate: Estimate) -> Array:
-        """(b,) the payload's share of the base parameters, by an estimate."""
+        """Return the payload's share of the base parameters (b,), by an estimate."""
         return self.payload.values(estimate) if self.payload else np.zeros(len(self.names))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Held:
-    """Something stated with a half-width, which an estimate holds; intervals count it.
+    """A value given with a half-width, which an estimate holds; intervals count it.
 
     Attributes:
         name: in x.
-        value: in x; `half`: half-width of its 95 % interval.
-        stated: moves of what else is stated of the free unknowns (f,) per unit.
+        value: in x.
+        half: half-width of its 95 % interval.
+        given: changes of the other given values of the free unknowns (f,) per unit.
         column: the torque (n, rows) that it adds per unit about x (p,) along a motion, weighted and
             decimated; None for the gain of a drive, whose term has it.
     """
@@ -111,7 +116,7 @@ class Held:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stated:
-    """What is stated, as a term: the torques of those that have a column.
+    """The given values as a term: the torques of those that have a column.
 
     `held` are all, `first` is the place of their first in x.
     """
@@ -137,13 +142,15 @@ class Unknowns:
     """The unknowns x of several recordings.
 
     Attributes:
-        names: (f,) of the free ones: base parameters, those of an own kind in sequence; payloads;
-            gains of motors.
+        names: (f,) of the free ones: base parameters, per-recording ones of a kind in sequence;
+            payloads; gains of motors.
         arms: by recording.
-        motors: whose gains are free; `gains`: their places.
+        motors: motors whose gains are free.
+        gains: their places.
         payloads: of the recordings, each once.
-        held: what is stated.
-        groups: places of the recordings with a common lag: those of the same effort object, timing
+        held: given values.
+        groups: places of the recordings with a common delay: those of the same effort object,
+            timing
             and rate.
     """
 
@@ -157,12 +164,12 @@ class Unknowns:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """(p,) names of x."""
+        """Names of x, (p,)."""
         return self.arms[0].unknowns
 
     @property
     def lags(self) -> Ints:
-        """Places (K,) of the lags, by group."""
+        """Places of the delays, by group, (K,)."""
         return np.arange(len(self.all) - len(self.groups), len(self.all))
 
     @property
@@ -171,18 +178,20 @@ class Unknowns:
         return np.arange(self.gains.start)
 
     def start(self, lags_s: Sequence[float]) -> Array:
-        """x (p,) of nothing but described gains, what is stated, and known lags."""
+        """Return x (p,) with only given drive gains, given values, and known delays."""
         gains, held = np.ones(len(self.motors)), [stated.value for stated in self.held]
         return np.asarray(np.r_[np.zeros(self.gains.start), gains, held, lags_s])
 
     @property
     def plain(self) -> bool:
-        """Whether the free unknowns are the base parameters of every recording."""
+        """True if the free unknowns are the base parameters of every recording."""
         return self.names == self.arms[0].names and not any(arm.payload for arm in self.arms)
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
-        """By recording what is simulated for x: base parameters (b,), their covariance without the
-        payload, and the share (b,) of the body nearest to the payload in them. C: covariance of x.
+        """Return by recording what is simulated for x.
+
+        This is base parameters (b,), their covariance without the payload, and the share (b,) of
+        the body nearest to the payload in them. C: covariance of x.
         """
         found = []
         for arm in self.arms:
@@ -198,8 +207,8 @@ class Unknowns:
         return found
 
     def repeated(self, x: Array, beta: Array) -> Array:
-        """x with base parameters beta (b,), the same for every recording; no payloads, gains as
-        described.
+        """Return x with base parameters beta (b,), the same for every recording, without payloads,
+        with given gains.
         """
         values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
         arm = [values.get(base_name(name), 0.0) for name in self.names[: self.gains.start]]
@@ -209,13 +218,14 @@ class Unknowns:
 def make_unknowns(
     problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()
 ) -> Unknowns:
-    """The unknowns of several recordings, and the gains of `motors`.
+    """Make the unknowns of several recordings, and the gains of `motors`.
 
-    Own parameters are of the kinds that the first one's description lists, or else of those of
-    `friction` that stand alone.
+    Per-recording parameters are of the kinds that the first one's description lists, or else of
+    those of `friction` that are regrouped with nothing.
 
-    Raises `BadInputError` for a kind that the robot lacks, or that gravity or
-    other parameters absorb.
+    Raises
+    ------
+    BadInputError : the robot lacks a kind, or gravity or other parameters absorb it.
     """
     robot, labels = problems[0].signals.robot, _labels([one.signals.recording for one in problems])
     names = _base_names(problems[0], labels, friction)
@@ -243,7 +253,7 @@ def make_unknowns(
 def _base_names(
     problem: Problem, labels: Sequence[str], friction: Sequence[str]
 ) -> list[tuple[str, ...]]:
-    """By recording the names of its base parameters in x."""
+    """Return by recording the names of its base parameters in x."""
     listed, own = problem.signals.robot.identification.own, list[int]()
     for kind in (friction if listed is None else listed) if len(labels) > 1 else ():
         with suppress(*[BadInputError] * (listed is None)):
@@ -262,8 +272,10 @@ def _held(
     payloads: Sequence[PayloadColumns],
     free: tuple[str, ...],
 ) -> tuple[Held, ...]:
-    """What is stated with a half-width: drive gains, beside those of `motors`, and masses and
-    centres of mass, in half-widths; `free` are the names of the free unknowns.
+    """Return the values given with a half-width: drive gains, beside those of `motors`, masses and
+    centres of mass.
+
+    They are in half-widths; `free` are the names of the free unknowns.
     """
     return (
         *(
@@ -288,7 +300,9 @@ def _held(
 
 
 def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
-    """Places of recordings with a common lag: those of the same effort object, timing and rate."""
+    """Return places of recordings with a common delay: those of the same effort object, timing and
+    rate.
+    """
     groups: dict[object, list[int]] = {}
     for k, problem in enumerate(problems):
         signals, known = problem.signals, problem.settings.known_lag
@@ -306,7 +320,9 @@ def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | N
 
 
 def _with_payload(payload: Payload, moves: Array, _: Array, motion: MotionBlock) -> Array:
-    """The torque (n, rows) of `moves` (b,) of the base parameters of recordings with a payload."""
+    """Return the torque (n, rows) of `moves` (b,) of the base parameters of recordings with a
+    payload.
+    """
     return np.asarray(moves @ motion.W * (motion.problem.signals.payload == payload))
 
 
@@ -315,7 +331,7 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 
 
 def _own_places(problem: Problem, kind: str) -> list[int]:
-    """Places of the base parameters of a kind, each of which stands alone."""
+    """Return places of the base parameters of a kind, none of which is regrouped."""
     base, model, found = problem.base, problem.model, list[int]()
     place, key = Location(f"robot {problem.signals.robot.name}"), "identification.own"
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
@@ -341,7 +357,9 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
 
 
 def _labels(recordings: Sequence[str]) -> list[str]:
-    """Short names of recordings: without their endings, and numbered if these are not unique."""
+    """Return short names of recordings: without their endings, and numbered if these are not
+    unique.
+    """
     stems = [Path(name).stem for name in recordings]
     unique = len(set(stems)) == len(stems)
     return stems if unique else [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]

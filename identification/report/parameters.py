@@ -6,7 +6,7 @@ Their names are built and read here alone:
     Fv1@A        that of the recording A alone, a per-recording parameter
     MX:loaded    of the payload on the recording `loaded`; MXR:loaded with others regrouped into it
     K:motor_1    the gain of a drive, as a factor on the described one
-    mu1          a base parameter of load friction
+    mu1          a base parameter of load-dependent friction
 
 Names of recordings and motors may have either sign in them: the first one in a name counts.
 """

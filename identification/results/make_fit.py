@@ -2,7 +2,7 @@
 gains and payloads.
 
 E_m is the torque of motor m by its described gain, kappa_m the factor on it: a term `Drives` like
-the others, equation (I). What is stated of gains, masses and centres of mass has half-widths, which
+the others, equation (I). What is given of gains, masses and centres of mass has half-widths, which
 intervals count. Results of gains and payloads stand apart from the base parameters.
 """
 

@@ -1,4 +1,4 @@
-"""Parameters of a fit, known values, a-priori links and drive gains that are asked for, and the
+"""Parameters of a fit, known values, a priori links and drive gains that are asked for, and the
 parameters of a stored fit for another recording or robot, with its settings.
 """
 

@@ -56,8 +56,14 @@ class Friction:
     def __init__(
         self, model: DirectModel, fastest: Array, v: Array, h: float, numbers: Numbers = ARRAYS
     ) -> None:
-        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint
-        speeds, later ones of kind `numbers`, `h` the step in s.
+        """Set the initial state.
+
+        Parameters
+        ----------
+        model : equation of motion of the robot.
+        fastest : (c,) maximum speeds of the directions of friction, rad/s or m/s.
+        v : (n,) initial joint speeds; later ones are of kind `numbers`.
+        h : step, s.
         """
         self._model, self._h, self._S, self._numbers = model, h, model.directions, numbers
         self._at: Callable[[Any, Any], tuple[Any, Any]] = model.inertia_and_bias
@@ -76,8 +82,10 @@ class Friction:
         self._set_modes(np.sign(self._S @ v), *np.zeros((3, len(fastest))))
 
     def _set_modes(self, mode: Array, static: Array, sliding: Array, steepness: Array) -> None:
-        """Set the modes (c,): +1 and -1 slip that way, 0 sticks; and further friction (c,) of
-        directions that stick and that slip, and its slope by the speed.
+        """Set the modes (c,): +1 and -1 slip that way, 0 sticks.
+
+        Further friction (c,) is that of directions that stick and that slip, with its slope by the
+        speed.
         """
         model, S, own, stuck = self._model, self._S, self._numbers.own, mode == 0
         rest = (model.up + model.down) / 2 + static
@@ -136,8 +144,8 @@ class Friction:
 
 
 class ClosedLoop:
-    """A robot in closed loop, simulated span by span; the states of robot and controller
-    continue from one to the next.
+    """A robot in closed loop, simulated part by part; the states of robot and controller continue
+    from one to the next.
     """
 
     def __init__(
@@ -150,10 +158,15 @@ class ClosedLoop:
         gains: Array | None = None,
         substeps: int = 1,
     ) -> None:
-        """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the
-        directions of Coulomb friction; `gains` (n,) factors on those of the loop.
+        """Set the initial state.
 
-        A controller period has `substeps` steps.
+        Parameters
+        ----------
+        model, loop : the robot and its control law.
+        start : position and speed, (n,) each.
+        fastest : (c,) maximum speeds of the directions of Coulomb friction.
+        gains : (n,) factors on the gains of the loop.
+        substeps : steps in a controller period.
         """
         q, v = (np.array(x) for x in start)
         self._numbers = ARRAYS if len(q) > 1 or model.shapes or loop.computed_torque else FLOATS
@@ -234,11 +247,17 @@ class RigidBodyPlant:
         disturbance: Array | float = 0.0,
         seed: int = 0,
     ) -> None:
-        """`speed_scale` (n,) is the maximum speed, which sets the speed below
-        which friction sticks.
+        """Set the initial state.
 
-        `step_s` divides the durations of `step`: else the robot would move in
+        Parameters
+        ----------
+        model : equation of motion of the robot.
+        q : (n,) initial positions, rad or m.
+        speed_scale : (n,) maximum speed, which sets the speed below which friction sticks.
+        step_s : step, s, which divides the durations of `step`: otherwise the robot would move in
             another time than its drives.
+        disturbance : (n,) rms of the white disturbance torque.
+        seed : seed of the disturbance.
         """
         self._model, self._step_s = model, step_s
         self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
@@ -246,11 +265,11 @@ class RigidBodyPlant:
         self._disturbance, self._rng = disturbance, np.random.default_rng(seed)
 
     def state(self) -> tuple[Array, Array]:
-        """Position and speed, each (n,)."""
+        """Return position and speed, each (n,)."""
         return self._q.copy(), self._dq.copy()
 
     def prescribed_effort(self) -> Array | None:
-        """None: it moves as its drives command."""
+        """Return None, because the robot moves as its drives command."""
         return None
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
@@ -273,11 +292,15 @@ def open_loop(
     rate: tuple[float, float],
     fastest: Array,
 ) -> Array:
-    """Positions (N, n), rad or m, of a robot from a `start` of position and speed (n,) on, under
-    torques (N, n) at a `rate` in Hz, between samples on a line, in steps of at most so many s.
+    """Simulate positions (N, n), rad or m, of a robot from a `start` of position and speed (n,)
+    under torques.
 
-    `fastest` (n,) are the speeds that set below which friction sticks. Raises `ArithmeticError` if
-    M is not positive.
+    Torques (N, n) at a `rate` in Hz follow lines between samples, in steps of at most so many s.
+    `fastest` (n,) are the speeds that set below which friction sticks.
+
+    Raises
+    ------
+    ArithmeticError : M is not positive.
     """
     (q, v), (rate_hz, most_s) = start, rate
     steps, found = max(1, int(np.ceil(1 / (rate_hz * most_s)))), np.empty_like(tau)
@@ -295,12 +318,16 @@ def open_loop(
 def described_robot(
     robot: Robot, payload: Payload | None = None
 ) -> tuple[RigidBodyPlant, "LoopGains"]:
-    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a
-    payload, and loops for the inertias of the robot without it, as those of real drives.
+    """Return the plant of `robot-acquire record --dry-run`, with the description's `[parameters]`
+    and a payload.
 
-    The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are
-    not of this robot, its inertia matrix is not positive, the payload's frame is not on its last
-    link, or `[parameters]` are not in kg and N m.
+    Its loops are for the inertias of the robot without payload, as those of real drives. The robot
+    is at rest in the middle of its ranges.
+
+    Raises
+    ------
+    BadInputError : the parameters are not of this robot, its inertia matrix is not positive, the
+        payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
     """
     from acquisition.simulated import SUBSTEPS, middle_of_range
 
@@ -331,8 +358,8 @@ def described_robot(
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":
-    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for
-    joint inertias J (n,).
+    """Return the control law of simulated drives: the description's, or cascaded loops of its
+    bandwidth for joint inertias J (n,).
     """
     from acquisition.simulated import LoopGains, cascaded_loops
 

@@ -156,9 +156,12 @@ def simulate(
 def _followed(
     found: Simulated, robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
 ) -> Simulated:
-    """The same with its motion at the samples that are kept, the error of its positions, and norms
-    of errors in percent of those measured: of the positions about their mean, of all joints that
-    move, and by joint of positions and of torques, `measured` (T, n).
+    """Return the same with its motion at the samples that are kept, and the errors against the
+    measurement.
+
+    The errors are those of its positions, and their norms in percent of those measured: of the
+    positions about their mean, of all joints that move, and by joint of positions and of torques,
+    `measured` (T, n).
     """
     problem, moves, kept = robot.problem, ~robot.held, list[list[Array]]()
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
@@ -198,8 +201,9 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
 
 
 def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
-    """The motion q^ (N, n) at all samples of a recording, by the errors of those that a low-pass
-    lets into its span.
+    """Return the motion q^ (N, n) at all samples of a recording.
+
+    It follows from the errors of those samples that a low-pass lets into the time range used.
     """
     (N, n), q, fs = r.shape, signals.q, signals.sample_rate_hz
     reach = lowpass_reach(rule_cutoff_hz(signals), fs)
@@ -229,7 +233,9 @@ def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMot
 
 
 def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
-    """What the error is made of, (K, p), of a reference (K, n) with peak speeds (n,)."""
+    """Return the terms of which the error consists, (K, p), of a reference (K, n) with peak speeds
+    (n,).
+    """
     dr, n = differentiate(r, sample_rate_hz), r.shape[1]
     sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
     friction = np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny))

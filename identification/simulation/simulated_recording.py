@@ -61,7 +61,7 @@ class SimulatedRecording:
         problem: of the recording, with its samples.
         blocks: of the rows; `decimation` leads from the samples to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop, described or found in the recording, or a PD of the stated
+        loop: the control loop, described or found in the recording, or a PD of the given
             bandwidth.
         saturated: percentage of the samples at each motor's limit, by motor and limit.
         start: the motion at the first instant.
@@ -69,7 +69,7 @@ class SimulatedRecording:
         held: which joints (n,) the reference holds.
         bound: (n,) largest deviation of a simulation from the reference.
         prior: (n,) inertias that the loop's gains were set for; `prior_known`: they are those asked
-            for. Else described gains imply them, and a PD of the stated bandwidth suits any.
+            for. Else given gains imply them, and a PD of the given bandwidth suits any.
     """
 
     def __init__(
@@ -81,14 +81,18 @@ class SimulatedRecording:
         *,
         gain_update: bool = True,
     ) -> None:
-        """`law`: what the recording shows of its control law.
+        """Prepare the recording.
 
-        The recorded gains are assumed to suit the inertias of the base parameters `prior` (b,);
-        with `gain_update`, equation (E), they follow each estimate's.
+        `law`: the control law that the recording shows. The recorded gains are assumed to suit the
+        inertias of the base parameters `prior` (b,); with `gain_update`, equation (E), they follow
+        each estimate's. A period of the bandwidth has at least `rate_per_bandwidth` samples and
+        simulated steps.
 
-        A period of the bandwidth has at least `rate_per_bandwidth` samples and simulated steps.
-        Raises `BadInputError` for an incomplete controller, one whose rate does not fit the
-        recording, or a reference of another recording.
+        Raises
+        ------
+        BadInputError : a controller is incomplete, its rate does not fit the recording, or the
+            reference
+            belongs to another recording.
         """
         self.problem = problem = problem.with_samples()
         refuse_foreign_reference(problem)
@@ -138,7 +142,7 @@ class SimulatedRecording:
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
     def model_of(self, beta: Array) -> DirectModel:
-        """The robot with base parameters beta (b,)."""
+        """Return the robot with base parameters beta (b,)."""
         return direct_model_of_base(self.problem.model, self.problem.base, beta)
 
     def simulated(self, beta: Array) -> tuple[Array, Array, str | None]:
@@ -244,14 +248,15 @@ class SimulatedRecording:
         return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
 
     def _inputs(self) -> Iterator[tuple[int, Reference]]:
-        """The loop's inputs, and the first instant of each part."""
+        """Yield the loop's inputs, and the first instant of each part."""
         for first in range(0, self.instants, CHUNK):
             yield first, self._whole or self.reference(first, min(self.instants, first + CHUNK))
 
 
 def _on_lines(at: Array, x: Array) -> Array:
-    """Series x (N, n) at places (K,), on straight lines between their samples; beyond the ends, the
-    end samples.
+    """Return series x (N, n) at places (K,), on straight lines between their samples.
+
+    Beyond the ends the end samples are used.
     """
     low = np.clip(at, 0, len(x) - 1).astype(np.intp)
     share = np.clip(at - low, 0, 1)[:, None]
@@ -301,8 +306,8 @@ def refuse_foreign_reference(problem: Problem) -> None:
 
 
 def saturated_percents(problem: Problem) -> dict[str, float]:
-    """Percentage of the recorded samples at each motor's limit, by motor and limit;
-    empty if none is stated.
+    """Return the percentage of the recorded samples at each motor's limit, by motor and limit;
+    empty if no limit is given.
     """
     robot, N = problem.signals.robot, len(problem.settings.used)
     at = [
@@ -317,7 +322,7 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
 
 
 def unstated_limits(problem: Problem) -> list[str]:
-    """Drives that saturate, below a stated limit or without one, in words."""
+    """Describe drives that saturate, below a given limit or without one."""
     found, motors = list[str](), problem.signals.robot.motors
     peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
     counts = np.sum(
@@ -352,14 +357,14 @@ def unstated_limits(problem: Problem) -> list[str]:
 
 
 def _motor_efforts(problem: Problem) -> Iterator[Array]:
-    """The recorded efforts (K, n) of the motors in the span used, in blocks."""
+    """Yield the recorded efforts (K, n) of the motors in the time range used, in blocks."""
     # As recorded: a spline that corrects a lag would overshoot the limit.
     for (effort,) in _blocks(problem, problem.signals.effort):
         yield problem.signals.robot.motor_effort(effort)
 
 
 def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
-    """The rows (K, n) of series in the span used, in blocks."""
+    """Yield the rows (K, n) of series in the time range used, in blocks."""
     used = problem.settings.used
     start, stop = used.start, used.stop
     for a in range(start, stop, BLOCK_SAMPLES):

@@ -1,7 +1,7 @@
 """Recordings of a simulated robot whose parameters are known, those of `[parameters]`.
 
 It tracks a random exciting reference with the described controller, or else with a PD
-of the stated bandwidth. All is computed span by span, as hours of motion do not fit in memory.
+of the given bandwidth. All is computed span by span, as hours of motion do not fit in memory.
 
 Or simulated CiA 402 drives on an in-process CAN bus move it in simulated time, as in the demo. This
 is the only place where `identification` gives an object to `acquisition`: the plant that the drives

@@ -1,10 +1,10 @@
-"""Tests of the drives: the lag of their torque, their control law, and limits not stated.
+"""Tests of the drives: the delay of their torque, their control law, and limits not given.
 
 The control law that is found in the recording does not depend on the robot's model, so its test
 detects what a fit cannot: an effort of the wrong scale or sign, which scales every parameter and
 fits equally well. Units are those of the recorded effort: the drive gain cancels and is not tested.
-A delay of the reference belongs to the recording, not to the law: the simulated robot has it, and
-nothing is judged by it.
+A delay of the reference belongs to the recording, not to the control law: the simulated robot has
+it, and nothing is judged by it.
 """
 
 from collections.abc import Sequence
