@@ -132,10 +132,22 @@ def option_name(action: argparse.Action) -> str:
     return f"{', '.join(action.option_strings)}{value}".strip().replace("|", "\\|")
 
 
+def command_table(program: Program) -> Iterator[str]:
+    """Yield a row per command."""
+    yield (
+        f"\n`{program.name} --print-completion bash` (or `zsh`) prints a script that completes "
+        "commands, options and\nfiles; it needs `pip install 'robot-idim[completion]'`.\n\n"
+        "| command | what it does |\n|---|---|"
+    )
+    for name, purpose in program.commands.items():
+        yield f"| `{name}` | {purpose} |"
+
+
 def option_table(program: Program) -> Iterator[str]:
-    """A row per option and meaning, with the commands that have it."""
+    """Yield a row per option and meaning, with the commands that have it."""
     rows: dict[tuple[str, str], list[str]] = {}
-    for command, action in options_of(program):
+    common = [(program.name, one) for one in program.parser()._actions if one.option_strings]
+    for command, action in (*options_of(program), *common):
         meaning = (action.help or "").replace("%%", "%").replace("|", "\\|")
         rows.setdefault((option_name(action), meaning), []).append(command)
     yield "\n| option | of | meaning |\n|---|---|---|"
@@ -209,7 +221,7 @@ def pages() -> dict[Path, str]:
         "An empty default: the key may be left out, and is then not used, unless its meaning "
         "says otherwise."
     )
-    robot = ["# Reference: robot.toml, options of robot-identify", "", HEAD, ""]
+    robot = ["# Reference: robot.toml, commands and options of robot-identify", "", HEAD, ""]
     robot += ["Angles are in degrees, everything else in SI. Unknown keys are refused. " + unstated]
     robot += [
         "",
@@ -220,11 +232,14 @@ def pages() -> dict[Path, str]:
     robot += [
         *key_tables(RobotFile, ROBOT_TABLES),
         "",
+        "## Commands of robot-identify",
+        *command_table(IDENTIFY),
+        "",
         "## Options of robot-identify",
         *option_table(IDENTIFY),
     ]
     bus = [
-        "# Reference: bus keys of robot.toml, map.toml, options of robot-acquire",
+        "# Reference: bus keys of robot.toml, map.toml, commands and options of robot-acquire",
         "",
         HEAD,
         "",
@@ -232,6 +247,7 @@ def pages() -> dict[Path, str]:
     ]
     bus += ["", "## Bus keys of robot.toml", *key_tables(BusFile, BUS_TABLES)]
     bus += ["", "## map.toml", *key_tables(TableMap, MAP_TABLES)]
+    bus += ["", "## Commands of robot-acquire", *command_table(ACQUIRE)]
     bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
     found = {

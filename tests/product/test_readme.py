@@ -15,9 +15,6 @@ from urdfs import TWO_TURNING
 
 from acquisition.recording import read_recording
 
-FIRST, ACQUISITION, IDENTIFICATION = (
-    ROOT / folder / "README.md" for folder in (".", "acquisition", "identification")
-)
 SESSION, FORMATS = ROOT / "identification" / "first_session.md", ROOT / "acquisition" / "formats.md"
 FOLDERS = ("acquisition", "identification", "replay_data", "tests")
 BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
@@ -117,18 +114,6 @@ def test_shown_map_fits_named_columns(tmp_path):
         ("effort", slice(5, 7)),
     ):
         np.testing.assert_array_equal(samples[name], values[:, columns])
-
-
-@pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
-def test_readme_has_every_command_and_option(program):
-    for action in program.parser()._actions:
-        assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], (
-            action.option_strings
-        )
-    text = TEXT[FIRST].partition("## Commands")[2].partition(f"`{program.name}`:\n")[2]
-    items = re.match(r"(\n*- .*)+", text)[0].splitlines()
-    listed = {name for item in items for name in re.findall(r"`([a-z]+)`", item.partition(": ")[0])}
-    assert listed == set(program.commands)
 
 
 def anchors(text):
