@@ -26,7 +26,9 @@ class Parameters(tuple[report.Parameter, ...]):
     """The parameters of a fit, in its order."""
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """Columns by name, as pandas takes them; `half_width` of the 95 % interval."""
+        """Return columns by name, as pandas takes them; `half_width` is that of the 95 %
+        interval.
+        """
         return {
             "half_width" if name == "half" else name: [getattr(p, name) for p in self]
             for name in ("name", "value", "half", "low", "high", "unit", "expression", "essential")
@@ -39,8 +41,9 @@ class Fit:
     Attributes:
         file: all keys of the JSON file.
         place: its name in errors, and in what is exported.
-        evidence: what it was made from, with the iterations, the rows and the simulated robot; None
-            of a fit that was read from a file.
+        evidence: the data that it was made from, with the iterations, the rows and the simulated
+            robot;
+            None for a fit that was read from a file.
     """
 
     def __init__(
@@ -50,12 +53,12 @@ class Fit:
 
     @classmethod
     def of(cls, evidence: results.Evidence) -> "Fit":
-        """The fit that was just made."""
+        """Return the fit that was just made."""
         return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
 
     @classmethod
     def read(cls, path: File) -> "Fit":
-        """The fit of a JSON file. Raises `BadInputError` as `report.read_fit`."""
+        """Read the fit of a JSON file; raise `BadInputError` as `report.read_fit` does."""
         return cls(report.read_fit(path), str(path))
 
     def __repr__(self) -> str:
@@ -63,29 +66,29 @@ class Fit:
 
     @property
     def verdict(self) -> report.Verdict | UnsetType:
-        """`trust`, `caution` or `do not use`: the worst test; unset in a file
-        of an earlier version.
+        """Worst level of the tests, `trust`, `caution` or `do not use`; unset in a file of an
+        earlier version.
         """
         return self.file.verdict
 
     @property
     def assumed(self) -> tuple[report.Assumed, ...]:
-        """What no test covers: `what`, `value`, `why`."""
+        """Assumptions that no test covers: `what`, `value`, `why`."""
         return tuple(self.file.assumed or ())
 
     @property
     def trust(self) -> tuple[report.TrustResult, ...]:
-        """The tests, worst first: `test`, `level`, `value`, `text`."""
+        """Tests, worst first: `test`, `level`, `value`, `text`."""
         return tuple(self.file.trust or ())
 
     @property
     def status(self) -> str:
-        """How the method ended; `solved` or `converged` if well."""
+        """Status of the method; `solved` or `converged` if it ended well."""
         return self.file.status or ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was doubtful in the recording or its settings."""
+        """Warnings about the recording or its settings."""
         return tuple(self.file.warnings)
 
     @property
@@ -95,8 +98,8 @@ class Fit:
 
     @property
     def parameters(self) -> Parameters:
-        """The fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`,
-        `expression`, `essential`.
+        """Fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression`,
+        `essential`.
         """
         return Parameters(self.file.parameters)
 
@@ -111,8 +114,10 @@ class Fit:
 
     @property
     def beta(self) -> Array:
-        """(b,) values of all base parameters, in the order of `base.names`, zero if left out; of
-        parameters of single recordings those of the first, or their means in a fit that was read.
+        """Values of all base parameters, (b,), in the order of `base.names`, zero if left out.
+
+        Per-recording parameters are those of the first recording, or their means in a fit that was
+        read.
         """
         return (
             results.stored_beta(self.file, self.base, self.place)
@@ -122,27 +127,38 @@ class Fit:
 
     @property
     def t_s(self) -> Array:
-        """(rows,) instants of the rows of all recordings, in their order, s."""
+        """Instants of the rows of all recordings, in their order, s, (rows,)."""
         return self._made().t_s
 
     def residuals(self) -> Array:
-        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`,
-        those that do not count too.
+        """Return measured minus predicted torque (rows, n), N m or N, of the decimated rows at
+        `t_s`.
+
+        Rows that do not count are included.
         """
         return self._made().tau - self._made().tau_predicted
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq
-        (rows, n), rad or m and s.
+        """Return the torque (rows, n), N m or N, of the model without payload along a motion.
+
+        Parameters
+        ----------
+        q, dq, ddq : (rows, n) motion, rad or m, per s and per s².
         """
         return results.stored_torque(self.file, self.place, q, dq, ddq)
 
     def compare(self, other: "Fit") -> tuple[report.Difference, ...]:
-        """The differences of the parameters from those of another fit: `name`, `off`,
-        `off_percent`, `off_sigma`.
+        """Compare the parameters with those of another fit.
 
-        Warns where the link frames differ. Raises `BadInputError`: nothing in
-        common, or other units.
+        It warns if the link frames differ.
+
+        Returns
+        -------
+        Differences with `name`, `off`, `off_percent`, `off_sigma`.
+
+        Raises
+        ------
+        BadInputError : the fits have nothing in common, or other units.
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
@@ -156,7 +172,9 @@ class Fit:
     def validate(
         self, recording: Signals | File, overrides: Overrides | None = None
     ) -> report.ValidationFile:
-        """The torque errors on another recording of the robot, as of `identification.validate`."""
+        """Compute the torque errors on another recording of the robot, as `identification.validate`
+        does.
+        """
         pair = (
             (recording, Path())
             if isinstance(recording, Signals)
@@ -170,11 +188,18 @@ class Fit:
     def export(
         self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False
     ) -> str:
-        """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of
-        `consistent` if it was called.
+        """Write the fit as a URDF, a MuJoCo model and a robot.toml; after `consistent` its
+        physically consistent values.
 
-        Returns what each format cannot represent, as Markdown. Raises `BadInputError`: the verdict
-        is `do not use` and not `allow_untrusted`; a fit in A or V; impossible parameters.
+        Returns
+        -------
+        A report in Markdown on what each format cannot represent.
+
+        Raises
+        ------
+        BadInputError : the verdict is `do not use` and `allow_untrusted` is not set; the fit is in
+            A or V; or
+            the parameters are impossible.
         """
         paths = {
             kind: Path(path)
@@ -186,12 +211,18 @@ class Fit:
         )
 
     def consistent(self, prior: File | None = None) -> "Fit":
-        """The fit with the nearest physically possible parameters of all links.
+        """Return the fit with the nearest physically consistent parameters of all links.
 
-        `prior`: a robot.toml or a URDF with a priori link parameters; default: the
-            description of the fit.
-        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there
-            are no such parameters; or the fit was read from a file.
+        Parameters
+        ----------
+        prior : robot.toml or URDF with a priori link parameters; default: the description of the
+            fit.
+
+        Raises
+        ------
+        BadInputError : a drive gain is not known, the prior is of another robot, there are no such
+            parameters,
+            or the fit was read from a file.
         """
         robot = self._made().problem.signals.robot
         found = None if prior is None else results.read_prior(Path(prior), robot)
@@ -199,7 +230,7 @@ class Fit:
 
     @property
     def document(self) -> report.Document:
-        """The report. Raises `BadInputError` for known values, which have none."""
+        """Report of the fit; known values have none and raise `BadInputError`."""
         Location(self.place).require(
             self.file.provenance, text="has parameters only", expected="a fit of a recording"
         )
@@ -210,8 +241,9 @@ class Fit:
         report.write_json(Path(path), self.file)
 
     def write_report(self, path: File, log: File | None = None) -> None:
-        """Write the whole report: .md the tables, .html also the pictures; curves of a fit that was
-        read are those of the recording `log`.
+        """Write the whole report: .md the tables, .html also the plots.
+
+        Curves of a fit that was read are those of the recording `log`.
         """
         path, document = Path(path), self.document
         if path.suffix == ".md":
@@ -225,8 +257,10 @@ class Fit:
             Location(str(path)).refuse("ending", path.suffix, ".md or .html")
 
     def write_rrd(self, path: File, log: File | None = None) -> None:
-        """Write trajectories and fit as a Rerun file; of several recordings one file
-        each, numbered from 1; of a fit that was read those of the recording `log`.
+        """Write trajectories and fit as a Rerun file.
+
+        Several recordings get one file each, numbered from 1; a fit that was read shows the
+        recording `log`.
         """
         from .view import draw_fit, write_rrd
 
@@ -238,7 +272,7 @@ class Fit:
             )
 
     def _recordings(self, log: File | None = None) -> Sequence[results.FitOnRecording]:
-        """The recordings of the fit, or the fit on a `log`."""
+        """Return the recordings of the fit, or the fit on a `log`."""
         return (
             self._made().recordings
             if log is None

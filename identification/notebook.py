@@ -38,7 +38,9 @@ P = ParamSpec("P")
 
 
 def _of_user(found: results.Evidence) -> Fit:
-    """The fit as users have it; called by what users call, so that the warning names their line."""
+    """Return the fit as users have it; called by what users call, so that the warning names their
+    line.
+    """
     fit = Fit.of(found)
     if refused := [line.text for line in fit.trust if line.level == "do not use"]:
         warnings.warn(f"do not use {fit!r}: {'; '.join(refused)}", DoNotUseWarning, stacklevel=3)
@@ -57,9 +59,19 @@ identify_ls, identify_iv = _for_users(results.identify_ls), _for_users(results.i
 
 
 def read_fit(path: File) -> Fit:
-    """The fit of a JSON file, or known values.
+    """Read the JSON file of a fit, or of known values.
 
-    Raises `BadInputError`: it cannot be read, or is no fit of this format.
+    Parameters
+    ----------
+    path : file that `robot-identify fit --json` or `Fit.to_json` wrote.
+
+    Returns
+    -------
+    The fit, without its rows and curves.
+
+    Raises
+    ------
+    BadInputError : the file cannot be read, or is not a fit of this format.
     """
     return Fit.read(path)
 
@@ -73,13 +85,26 @@ def read_robot(
     speed: float | Sequence[float] | None = None,
     acceleration: float | Sequence[float] | None = None,
 ) -> Robot:
-    """A robot from a robot.toml, or from a URDF with values that it lacks; other
-    functions take its path, too.
+    """Read a robot from a robot.toml, or from a URDF with values that it lacks.
 
-    `joints`: those to identify, from the base outwards (default: the longest serial chain);
-    `bandwidth_hz` of the position loops, which fits need; `position` (±), `speed`, `acceleration`:
-    limits in rad or m, for all joints or by joint.
-    Raises `BadInputError`: no such file, or a value beside a robot.toml, which has a key for it.
+    Other functions take its path, too.
+
+    Parameters
+    ----------
+    path : robot.toml or URDF.
+    joints : joints to identify, from the base outwards; default: the longest serial chain of the
+        URDF.
+    bandwidth_hz : bandwidth of the position loops, Hz, which fits need.
+    position, speed, acceleration : limits in rad or m (per s, s²), for all joints or by joint; the
+        position is ± about zero.
+
+    Returns
+    -------
+    The robot.
+
+    Raises
+    ------
+    BadInputError : no such file, or a value beside a robot.toml, which has a key for it.
     """
     given = {
         option: tuple(np.atleast_1d(value).tolist())
@@ -118,37 +143,39 @@ def fit(
     payload: str | Sequence[str | None] | None = None,
     gains: Sequence[str] = (),
 ) -> Fit:
-    """Base parameters of a robot from arrays; of several recordings from lists of arrays, one for
-    each, and one rate or a list.
+    """Identify the base parameters of a robot from arrays.
 
-    `identify_ls` and `identify_iv` do the same for files.
+    For several recordings give lists of arrays, one for each, and one rate or a list. `identify_ls`
+    and `identify_iv` do the same for files.
 
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no
-        drive gain. Their timing is unknown: `torque_lag_s` states the delay.
-    sample_rate_hz : sample rate; that of the recording that `q` is of replaces one that is over 5 %
-        off, with a warning.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V if the description has no drive
+        gain. Their timing is unknown: `torque_lag_s` gives the delay.
+    sample_rate_hz : sample rate, Hz. If `q` is read from a recording whose rate differs by more
+        than
+        5 %, the recording's rate is used, with a warning.
     robot : the description, or the path of a robot.toml or of a URDF.
     q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the
         instruments are not strictly exogenous (a warning of the fit).
-    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`,
-        least squares weighted joint by joint or not.
-    bandwidth_hz : of the position loops, Hz; for a URDF, which has none.
+    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without), least
+        squares
+        weighted by joint; or `ols`, without weights.
+    bandwidth_hz : bandwidth of the position loops, Hz; for a URDF, which has none.
     cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as options of
         `robot-identify fit` and keys of `[identification]`, in place of the rules; `cutoff_hz` 0:
         no filter; `torque_lag_s` `none`: no correction.
-    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative
-        of q, which is fitted.
-    known_torque : (N, n) torques on the joints from other sources than the drives, N m or N, same
-        sign as `tau`; the model explains the sum.
+    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative of q,
+        which is fitted.
+    known_torque : (N, n) external torques on the joints, N m or N, same sign as `tau`; the model
+        explains the sum.
     feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded
         effort (which includes it); the simulated controller adds it too.
-    payload : what the robot carried, as `KG@X,Y,Z`, m; with a sequence, of each
-        recording, None for nothing.
-    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with
-        and without a payload.
+    payload : payload of the robot as `KG@X,Y,Z`, m; with a sequence, of each recording, None for
+        nothing.
+    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and
+        without a payload.
 
     Returns
     -------
@@ -206,7 +233,7 @@ def fit(
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:
-    """Recordings by lists of their arrays; what is no list is that of each."""
+    """Make recordings from lists of their arrays; what is not a list belongs to each."""
     count = len(given["q"])
     for name, x in given.items():
         given[name] = x if isinstance(x, list | tuple | np.ndarray) else [x] * count
@@ -223,7 +250,7 @@ def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ..
 
 
 def _of_arrays(robot: Robot, given: dict[str, Any]) -> Signals:
-    """A recording by its arrays."""
+    """Make a recording from its arrays."""
     text = given.pop("payload")
     payload = parse_payload(text, robot, "payload") if text else None
     return replace(signals_from_arrays(robot=robot, **given), payload=payload)
@@ -236,11 +263,23 @@ fit.__annotations__ = {"return": Fit}
 def validate(
     fit: Fit, recording: Signals | File, overrides: Overrides | None = None
 ) -> ValidationFile:
-    """Torque errors of a fit on another recording of the robot, as those of a fit:
-    `relative_error_percent`, `joints`, `warnings`; and how far the fit predicts the motion `ahead`.
+    """Compute the torque errors of a fit on another recording of the robot.
 
-    `overrides` replace the settings of the fit. Raises `BadInputError`: the
-    recording is of another robot.
+    Parameters
+    ----------
+    fit : the fit.
+    recording : a recording that it was not fitted to.
+    overrides : settings that replace those of the fit.
+
+    Returns
+    -------
+    Errors in `relative_error_percent` and `joints`, `warnings`, and how far the fit predicts the
+    motion,
+    `ahead`.
+
+    Raises
+    ------
+    BadInputError : the recording is of another robot.
     """
     return fit.validate(recording, overrides)
 
@@ -254,13 +293,25 @@ def design_reference(
     after: Sequence[File] = (),
     payload: str | None = None,
 ) -> Excitation:
-    """An exciting reference within the limits of the robot; `write` makes the CSV for
-    `robot-acquire record --track`.
+    """Design an exciting reference within the limits of the robot.
 
-    `fit`: JSON file with parameters and noise (default: `[parameters]`); `noise`: deviation of the
-    torque per row of the fit, N m or N, one or by joint; `after`: recordings whose information is
-    added; `payload`: `KG@X,Y,Z`, m, of a second run of the reference, to identify drive gains.
-    Raises `BadInputError`: a limit is missing, or no reference is found.
+    Parameters
+    ----------
+    robot : the description, or the path of a robot.toml or of a URDF; all joints need limits.
+    settings : period, harmonics, seed and others.
+    fit : JSON file with parameters and noise; default: `[parameters]`.
+    noise : standard deviation of the torque per row of the fit, N m or N, one or by joint.
+    after : recordings whose information is added.
+    payload : `KG@X,Y,Z`, m, of a second run of the reference, to identify drive gains.
+
+    Returns
+    -------
+    The reference with its expected intervals; `write` makes the CSV for `robot-acquire record
+    --track`.
+
+    Raises
+    ------
+    BadInputError : a limit is missing, or no reference is found.
     """
     described = _robot(robot)
     place, folder = (
@@ -280,11 +331,22 @@ def design_reference(
 def simulate_recording(
     robot: File | Robot, out: File, settings: Study | None = None, payload: str | None = None
 ) -> Signals:
-    """Write and read a recording of the robot simulated with its `[parameters]`; `settings`:
-    length, rate, seed, noise.
+    """Write and read a recording of the robot simulated with its `[parameters]`.
 
-    `payload`: `KG@X,Y,Z`, m. Raises `BadInputError`: a value or a limit is
-        missing, or `out` exists.
+    Parameters
+    ----------
+    robot : the description, or the path of a robot.toml or of a URDF.
+    out : file of the recording.
+    settings : length, rate, seed and noise.
+    payload : `KG@X,Y,Z`, m.
+
+    Returns
+    -------
+    The signals of the recording.
+
+    Raises
+    ------
+    BadInputError : a value or a limit is missing, or `out` exists.
     """
     described = _robot(robot)
     refuse_clash((), of_kinds={"mcap": Path(out)})
@@ -300,9 +362,21 @@ def simulate_recording(
 def run_study(
     robot: File | Robot, settings: Study | None = None, work: Work | None = None
 ) -> list[Run]:
-    """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by
-    instrumental variables.
+    """Fit simulated recordings of the robot of `[parameters]`, by least squares and instrumental
+    variables.
 
-    `work`: where they run, as `Work(4)`. Raises `BadInputError`: a value or a limit is missing.
+    Parameters
+    ----------
+    robot : the description, or the path of a robot.toml or of a URDF.
+    settings : number, length, rate and noise of the recordings.
+    work : where they run, such as `Work(4)`.
+
+    Returns
+    -------
+    The runs, in order.
+
+    Raises
+    ------
+    BadInputError : a value or a limit is missing.
     """
     return list(study.run_study(_robot(robot), settings or Study(), work or Work()))

@@ -22,8 +22,8 @@ Span = Literal["motion", "all"]
 def _value(
     expected: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
 ) -> Callable[[str], Any]:
-    """A function that reads a value; argparse shows what was `expected`
-    where it is not accepted.
+    """Return a function that reads a value; argparse shows what was `expected` if it is not
+    accepted.
     """
 
     def value(text: str) -> Any:
@@ -36,7 +36,7 @@ def _value(
 
 
 def _values(read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """A function that reads values separated by commas."""
+    """Return a function that reads values separated by commas."""
     return lambda text: tuple(read(part.strip()) for part in text.split(","))
 
 
@@ -65,13 +65,17 @@ list_of_names = _values(_value("a name", str, bool))
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """Settings of a fit, some of them options, that replace the rules; None keeps the rule, or
-    the key of robot.toml.
+    """Settings of a fit that replace the rules; None keeps the rule, or the key of robot.toml.
 
-    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv,
-    and `method` takes its own, by the recording if it is None; `ramp_rows` as of `Settings`;
-    `torque_lag_s` "none" means no correction; `law` is the control law that another fit of the
-    recording found, with the same cut-off, decimation and span (`Evidence.law`).
+    Attributes:
+        cutoff_hz: low-pass of the position, Hz; 0 means no filter.
+        low_speed_percent: one number is for least squares and iv; `method` takes its own, by the
+            recording if it is None.
+        ramp_rows: weight taper, as in `Settings`.
+        torque_lag_s: delay of the torque, s; "none" means no correction.
+        law: control law that another fit of the recording estimated, with the same cut-off,
+            decimation
+            and time range (`Evidence.law`).
     """
 
     cutoff_hz: Annotated[
@@ -113,7 +117,7 @@ class Overrides:
     law: Any = None
 
     def over(self, others: "Overrides") -> "Overrides":
-        """These options; those that are None come from `others`."""
+        """Return these options; those that are None come from `others`."""
         return replace(
             others, **{name: value for name, value in vars(self).items() if value is not None}
         )

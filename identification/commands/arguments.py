@@ -22,14 +22,16 @@ if TYPE_CHECKING:
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
-    """The inputs group with the robot; `text` names the required parts of its description."""
+    """Declare the inputs group with the robot; `text` names the required parts of its
+    description.
+    """
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "robot", "ROBOT.toml", f"the robot's description; {text}")
     return inputs
 
 
 def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
-    """The recordings, and an optional description instead of their own."""
+    """Declare the recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
     inputs.add_argument(
@@ -43,7 +45,7 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
 
 
 def add_method(settings: "argparse._ActionsContainer") -> None:
-    """`--method`."""
+    """Declare `--method`."""
     settings.add_argument(
         "--method",
         choices=["ols", "wls", "iv"],
@@ -54,7 +56,7 @@ def add_method(settings: "argparse._ActionsContainer") -> None:
 
 
 def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
-    """The recordings of `add_recordings`, not yet read."""
+    """Return the recordings of `add_recordings`, not yet read."""
     from acquisition.robot import load_robot
 
     from ..data import RecordingFile
@@ -77,7 +79,7 @@ def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
-    """Where tasks run: on the cores of this machine, or on a cluster."""
+    """Declare where tasks run: on the cores of this machine, or on a cluster."""
     parser.add_argument_group("where it runs").add_argument(
         "--workers",
         type=workers,
@@ -88,21 +90,21 @@ def add_work(parser: argparse.ArgumentParser) -> None:
 
 
 def work_of(options: argparse.Namespace, tasks: int) -> "data.Work":
-    """The workers of `add_work`, by default one for each of so many tasks."""
+    """Return the workers of `add_work`, by default one for each of so many tasks."""
     from ..data import Work
 
     return Work(options.workers or min(os.cpu_count() or 1, tasks))
 
 
 def add_report(outputs: "argparse._ActionsContainer") -> None:
-    """`--report`."""
+    """Declare `--report`."""
     add_path(
         outputs, "--report", "FILE", "write the report: .md has the tables, .html also the pictures"
     )
 
 
 def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
-    """`--report` and `--rrd`; `text` says what the Rerun file draws."""
+    """Declare `--report` and `--rrd`; `text` says what the Rerun file draws."""
     add_report(outputs)
     add_path(outputs, "--rrd", "FILE", text)
 
@@ -135,8 +137,9 @@ def write_pictures(
     draw: "Callable[[ModuleType], list[view.Picture]]",
     rrds: Sequence[Path] = (),
 ) -> None:
-    """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is
-    given the room `view`.
+    """Write the files of `add_pictures`: a report of all views, a Rerun file of each.
+
+    `draw` is given the subpackage `view`.
     """
     path = options.report
     if path is not None and path.suffix == ".md":
@@ -177,12 +180,12 @@ def refuse_outputs(
     overwrite: bool | None = None,
     **of_kinds: Path | None,
 ) -> None:
-    """Before any work: refuse outputs that replace an input, another output, a recording or a file
-    of another kind (`refuse_clash`), or lie in a missing folder, and a `report` that is neither
-    Markdown nor HTML.
+    """Refuse outputs before any work.
 
+    Refused are outputs that replace an input, another output, a recording or a file of another kind
+    (`refuse_clash`), or lie in a missing folder, and a `report` that is neither Markdown nor HTML.
     The folder of a `picture`, a Rerun file, is not checked, because the fit is printed even if the
-    picture cannot be written.
+    file cannot be written.
     """
     from acquisition.files import refuse_clash
 
@@ -212,7 +215,7 @@ def print_results(*items: "report.Document | str", everything: bool = True) -> N
 
 
 def trust_status(reasons: Sequence[str]) -> int:
-    """The exit status of a result; `reasons` not to trust it are printed on stderr."""
+    """Return the exit status of a result; print `reasons` not to trust it on stderr."""
     if reasons:
         print(one_line(f"robot-identify: not to be trusted: {'; '.join(reasons)}"), file=sys.stderr)
     return 3 if reasons else 0

@@ -114,8 +114,9 @@ def _pictures(options: argparse.Namespace) -> list[Path]:
 
 
 def edited_descriptions(fit: "results.Evidence", recordings: list[Path]) -> list[str]:
-    """A line for each robot.toml, beside a recording or in the working folder, that differs
-    from the recording's own.
+    """Return a line for each robot.toml that differs from the recording's own.
+
+    Such files are beside a recording or in the working folder.
     """
     lines = dict[str, None]()
     for one, path in zip(fit.recordings, recordings, strict=True):
@@ -132,8 +133,9 @@ def edited_descriptions(fit: "results.Evidence", recordings: list[Path]) -> list
 
 
 def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "results.Evidence":
-    """The fit; the prior of the links is read before, so that a recording in A or V is refused
-    at once.
+    """Return the fit.
+
+    The prior of the links is read before, so that a recording in A or V is refused at once.
     """
     from .. import data, methods, report, results
 

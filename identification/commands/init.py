@@ -130,7 +130,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _joint_lines(chain: "Chain") -> Iterator[str]:
-    """The joints, and what is special about the chain."""
+    """Return lines on the joints, and on special features of the chain."""
     yield from (f"joint {j}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints, 1))
     yield from (f"locked at zero: {locked}" for locked in chain.locked)
     yield from (f"note: {note}" for note in chain.notes)
@@ -142,7 +142,7 @@ def _joint_lines(chain: "Chain") -> Iterator[str]:
 
 
 def _lines_to_fill_in(text: str) -> Iterator[str]:
-    """How many lines of a description are marked, and which ones each use needs."""
+    """Count the marked lines of a description, and name those that each use needs."""
     from acquisition.robot import marks_of_motion
 
     from ..export import FILL_IN, USES
@@ -160,7 +160,7 @@ def _lines_to_fill_in(text: str) -> Iterator[str]:
 
 
 def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "Chain":
-    """Apply the options that a URDF lacks; those that do not go with the efforts are refused."""
+    """Apply the options that a URDF lacks; refuse those that do not go with the efforts."""
     given = {
         option: values
         for option in (*_URDF_OPTIONS, *_EFFORTS)
@@ -184,8 +184,8 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
 
 
 def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:
-    """By joint the unit of the recorded effort: what its drive gives, or as given; empty if
-    neither says it.
+    """Return by joint the unit of the recorded effort: that of its drive, or as given; empty if
+    neither gives it.
     """
     from acquisition.robot import efforts_of_scan
 

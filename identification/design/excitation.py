@@ -69,15 +69,18 @@ class Excitation:
 
     Attributes:
         reference: one period.
-        sigma, plain: (b,) expected standard deviations of the parameters; geometric mean of the
-            same with plain references.
-        noise, noise_from: (n,) deviation of the torque in a row of the fit; its origin in words.
+        sigma, plain: (b,) expected standard errors of the parameters; geometric mean of the same
+            with
+            plain references.
+        noise, noise_from: (n,) standard deviation of the torque in a row of the fit; its origin in
+            words.
         limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
-        nearest: the smallest distance in m, and its pair of links, or link and
-            ground; None without shapes.
-        beta: parameters for the torque; None where torque was not checked.
+        nearest: the smallest distance in m, and its pair of links, or link and ground; None without
+            shapes.
+        beta: parameters for the torque; None if torque was not checked.
         knowledge: from before the motion, with the origin of `beta`, and the payload carried in a
-            second recording; `gains` (n,): half-widths of the drive gains from both, in percent.
+            second recording.
+        gains: (n,) half-widths of the drive gains from both, in percent.
         warnings: lines.
     """
 
@@ -103,17 +106,17 @@ class Excitation:
 
     @property
     def half(self) -> Array:
-        """(b,) half-widths of the expected 95 % intervals."""
+        """Half-widths of the expected 95 % intervals, (b,)."""
         return NORMAL_QUANTILE * self.sigma
 
     @property
     def plain_half(self) -> Array:
-        """(b,) the same of the plain references."""
+        """Half-widths of the expected 95 % intervals of the plain references, (b,)."""
         return NORMAL_QUANTILE * self.plain
 
     def curves(self) -> tuple[Array, Array, Array, Array | None]:
-        """Times (N,) in s, positions, speeds and, where it is known, torque, each
-        (N, n), of one period.
+        """Return times (N,) in s, positions, speeds and, if known, torque, each (N, n), of one
+        period.
         """
         t_s = np.linspace(0.0, self.settings.period_s, CURVE_SAMPLES * self.settings.harmonics + 1)
         motion = self.reference.at(t_s)
@@ -124,8 +127,11 @@ class Excitation:
         )
 
     def write(self, path: Path) -> None:
-        """Write times in s and positions of all periods, close enough for splines between them,
-        as a CSV for `robot-acquire record --track`, whole or not at all.
+        """Write times in s and positions of all periods as a CSV for `robot-acquire record
+        --track`.
+
+        Times are close enough for splines between them. The file is written completely or not at
+        all.
         """
         s = self.settings
         steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
@@ -145,11 +151,13 @@ def excite(
     place: str,
     say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:
-    """An exciting reference that makes the base parameters as identifiable as
-    possible within the limits.
+    """Design an exciting reference that makes the base parameters as identifiable as possible
+    within the limits.
 
-    Raises `BadInputError` where the limits leave no reference, the drives would not follow it
-    or cannot represent it.
+    Raises
+    ------
+    BadInputError : the limits leave no reference, or the drives would not follow it or cannot
+        represent it.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
@@ -216,7 +224,7 @@ def excite(
 
 
 def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
-    """Pairs of links to be kept apart, of which some are always near each other."""
+    """Return pairs of links to be kept apart, without those that are always near each other."""
     low, high = np.array([joint.si("position") or (0.0, 0.0) for joint in model.robot.joints]).T
     return obstacles_of(
         model,
@@ -227,7 +235,7 @@ def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
 
 
 def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]:
-    """Motions of random references of the usual number of harmonics within the limits."""
+    """Return motions of random references of the usual number of harmonics within the limits."""
     harmonics, samples = settings.harmonics, SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
     series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, harmonics))
@@ -255,7 +263,7 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
-    """Refuse a robot that cannot stand in the middle of its ranges: references start there."""
+    """Refuse a robot that cannot rest in the middle of its ranges, where references start."""
     n = limits.robot.n
     used = np.abs(limits.shares((limits.middle[None], np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
@@ -271,8 +279,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Iterator[str]:
-    """Which torques and distances were not checked; load-dependent friction `mus`, which
-    the criterion leaves out.
+    """Return warnings on torques and distances that were not checked.
+
+    `mus`: load-dependent friction, which the criterion leaves out.
     """
     if obstacles.missing:
         yield (
@@ -305,7 +314,9 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Itera
 
 
 def excitation_document(excitation: Excitation) -> Document:
-    """Expected intervals of a reference, in short the widest, and the limits that it uses."""
+    """Make the report of a reference: expected intervals, in short the widest, and the limits that
+    it uses.
+    """
     e, s = excitation, excitation.settings
     return Document(
         title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "

@@ -13,7 +13,7 @@ from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described
 
 
 def friction_file(choice: TermChoice) -> dict[str, Any]:
-    """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
+    """Make the JSON file of `friction`: all sets, best first, and the selected terms by joint.
 
     `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the
     parts of `held_out_percents`. An error that does not exist is null.
@@ -44,7 +44,9 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
 
 
 def friction_document(choice: TermChoice) -> Document:
-    """The sets that were tried, best first, and the lines of robot.toml for the recommended one."""
+    """Make the report of the sets that were tried, best first, with the lines of robot.toml for the
+    selected one.
+    """
     usual, chosen = choice.usual, choice.recommended
     errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms" + (
         f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
@@ -94,8 +96,8 @@ def friction_document(choice: TermChoice) -> Document:
 
 
 def set_text(robot: Robot, terms: TermSet) -> str:
-    """A set in words, such as `root; load: joint_3`; without a joint's name,
-    all joints have the term.
+    """Return a set in words, such as `root; load: joint_3`; without a joint's name, all joints have
+    the term.
     """
     parts = []
     for term in CANDIDATES:
@@ -109,8 +111,8 @@ def set_text(robot: Robot, terms: TermSet) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, that of the choice; lines
-    without use become comments.
+    """Put the selected terms into the description at `path`, that of the choice; lines without use
+    become comments.
     """
     values: dict[str, dict[str, Any]] = {
         joint.name: {

@@ -30,15 +30,16 @@ SAMPLE_RATE_HZ = 1000.0  # of a recording, if none is stated
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PriorInformation:
-    """What is known about the robot before the motion.
+    """Knowledge about the robot before the motion.
 
     Attributes:
         beta: (b,) base parameters for the torque; None if unknown.
         beta_from: their origin, in words.
-        noise: (n,) given deviation of the torque, or None.
-        noise_share: (n,) deviation in a fit's rows over the rms torque; None without a fit.
-        payload: that a second recording of the motion will carry, to identify
-            drive gains; None: none.
+        noise: (n,) given standard deviation of the torque, or None.
+        noise_share: (n,) standard deviation in a fit's rows over the rms torque; None without a
+            fit.
+        payload: that a second recording of the motion will carry, to identify drive gains; None:
+            none.
         recordings: earlier ones, whose information is added.
         folder: of the description, searched first for meshes of its URDF.
         warnings: about the fit.
@@ -63,7 +64,9 @@ def prior_information(
     after: Sequence[Path] = (),
     payload: Payload | None = None,
 ) -> PriorInformation:
-    """Information from files and options: a fit's parameters, else those of the description."""
+    """Collect information from files and options: a fit's parameters, else those of the
+    description.
+    """
     Location("").require(
         noise is None or len(noise) in (1, robot.n),
         "--noise",
@@ -115,8 +118,9 @@ def loads_of(
     knowledge: PriorInformation,
     place: str,
 ) -> tuple[dynamics.DirectModel, ...]:
-    """The robot with its parameters, then the same with the payload, which needs them;
-    empty without parameters.
+    """Return the robot with its parameters, then the same with the payload, which needs them.
+
+    The result is empty without parameters.
     """
     payload = knowledge.payload
     Location(place).require(
@@ -139,11 +143,12 @@ def torque_noise(
     knowledge: PriorInformation,
     motions: Sequence[Motion],
 ) -> tuple[Array, str]:
-    """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
+    """Return the standard deviation (n,) of each joint's torque in a row of the fit, and its origin
+    in words.
 
-    The given one; else the error of a fit in percent of the torque along `motions`,
-    larger where rows are correlated; else a share of that torque; else 1 for each joint,
-    if no parameters are known.
+    It is the given one; else the error of a fit in percent of the torque along `motions`, larger
+    where rows are correlated; else a share of that torque; else 1 for each joint, if no parameters
+    are known.
     """
     if knowledge.noise is not None:
         return knowledge.noise, "as stated"
@@ -162,7 +167,7 @@ def torque_noise(
 
 
 def rows_per_s(robot: Robot) -> float:
-    """Rows per second of a fit, by the decimation rule."""
+    """Return the rows per second of a fit, by the decimation rule."""
     rate_hz = (
         1 / robot.bus.sync_period_s
         if robot.bus is not None
@@ -174,8 +179,9 @@ def rows_per_s(robot: Robot) -> float:
 def earlier_information(
     base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]
 ) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base`
-    without load-dependent friction.
+    """Return the sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot.
+
+    `base` has no load-dependent friction.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
@@ -195,15 +201,18 @@ def earlier_information(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Information:
-    """Computes the information of motions about the base parameters.
+    """The information of motions about the base parameters.
 
     Attributes:
         model, base: the inverse dynamic model, its base parameters.
-        noise: (n,) deviation of each joint's torque in a row of the fit, in the unit of its effort.
+        noise: (n,) standard deviation of each joint's torque in a row of the fit, in the unit of
+            its
+            effort.
         rows: of the fit in the whole recording, whatever the number of samples of a motion.
         earlier: (b, b) information of earlier recordings, which is added.
         creep: (n,) speeds of the smooth sign u / sqrt(u² + creep²) of friction in the criterion: a
-            jump has no gradient, and a fit leaves out rows of low speed.
+            jump
+            has no gradient, and a fit leaves out rows of low speed.
     """
 
     model: dynamics.InverseModel
@@ -214,12 +223,12 @@ class Information:
     creep: Array
 
     def sigma(self, motion: Motion) -> Array:
-        """(b,) standard deviations of the parameters after a motion q, dq, ddq (N, n)."""
+        """Return standard errors (b,) of the parameters after a motion q, dq, ddq (N, n)."""
         return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
-        """The criterion relative to the deviations `plain` (b,), and its gradients
-        (N, n) by q, dq and ddq.
+        """Return the criterion relative to the standard errors `plain` (b,), and its gradients (N,
+        n) by q, dq and ddq.
         """
         W, slopes = self._regressor(motion), []
         for c, term in self._sliding:
@@ -238,8 +247,8 @@ class Information:
     def gain_deviations(
         self, motion: Motion, loads: Sequence[dynamics.DirectModel], payload: Payload
     ) -> Array:
-        """(n,) relative deviations of all drive gains, from runs of the motion
-        without and with the payload.
+        """Return relative standard errors (n,) of all drive gains, from runs of the motion without
+        and with the payload.
 
         X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L
         of what is not given of the payload. Earlier recordings do not count.
@@ -275,7 +284,7 @@ class Information:
         return np.asarray(np.linalg.norm(V, axis=0) * np.sqrt(len(motion[0]) / self.rows))
 
     def _regressor(self, motion: Motion) -> Array:
-        """W (N, n, b)."""
+        """Return W (N, n, b)."""
         return self.model.regressor(*motion, self.base.columns)
 
     def _information(self, W: Array) -> Array:
@@ -293,7 +302,7 @@ class Information:
 
 
 def _inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, first scaled to a diagonal of ones."""
+    """Return the inverse of a positive definite matrix, first scaled to a diagonal of ones."""
     with np.errstate(divide="ignore", invalid="ignore"):
         d = 1 / np.sqrt(np.diag(M))
         scaled = M * d[:, None] * d

@@ -34,8 +34,8 @@ class Series:
 
     @cached_property
     def _null_spaces(self) -> tuple[Array, Array]:
-        """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero
-        acceleration at the ends.
+        """Null spaces, (H, H - 1) each: sine coefficients with zero speed, cosine coefficients with
+        zero acceleration at the ends.
         """
         k = np.arange(1, self.harmonics + 1, dtype=float)
         # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the
@@ -47,7 +47,7 @@ class Series:
         return sine, cosine
 
     def reference(self, x: Array) -> FourierReference:
-        """The series with the coefficients x (n, K)."""
+        """Return the series with the coefficients x (n, K)."""
         sine, cosine = self._null_spaces
         return FourierReference(
             period_s=self.period_s,
@@ -57,7 +57,7 @@ class Series:
         )
 
     def coefficients(self, reference: FourierReference) -> Array:
-        """x (n, K) of a reference that is such a series."""
+        """Return x (n, K) of a reference that is such a series."""
         sine, cosine = (np.linalg.pinv(basis) for basis in self._null_spaces)
         return np.concatenate(
             [reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T],
@@ -65,8 +65,10 @@ class Series:
         )
 
     def basis(self, samples: int) -> Motion:
-        """Matrices (N, K) of position, speed and acceleration at N instants from the start of
-        a period: q_j = A x_j.
+        """Return matrices (N, K) of position, speed and acceleration at N instants from the start
+        of a period.
+
+            q_j = A x_j
         """
         return self.reference(np.eye(2 * self.harmonics - 1)).at(
             np.arange(samples, dtype=np.float64) * (self.period_s / samples)
@@ -74,7 +76,7 @@ class Series:
 
 
 def motion_of(x: Array, basis: Motion) -> Motion:
-    """q, dq, ddq (N, n) of the coefficients x (n, K)."""
+    """Return q, dq, ddq (N, n) of the coefficients x (n, K)."""
     return basis[0] @ x.T, basis[1] @ x.T, basis[2] @ x.T
 
 
@@ -87,12 +89,14 @@ class Limits:
 
     Attributes:
         middle: (n,) of the joints' ranges.
-        maximum: (3, n) half the range, the speed, the acceleration, each times the
-            share that may be used.
-        models: with the parameters for the torque, one for each load that the robot
-            carries; empty if unknown.
-        coulomb: (m,) most that signed friction takes of each effort: Coulomb,
-            Stribeck, root of speed.
+        maximum: (3, n) half the range, the speed, the acceleration, each times the share that may
+            be
+            used.
+        models: with the parameters for the torque, one for each load that the robot carries; empty
+            if
+            unknown.
+        coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of
+            speed.
         share: that may be used of all limits.
     """
 
@@ -106,18 +110,18 @@ class Limits:
 
     @property
     def model(self) -> DirectModel | None:
-        """That of the robot without load; None if its parameters are unknown."""
+        """Model of the robot without load; None if its parameters are unknown."""
         return next(iter(self.models), None)
 
     @property
     def allowed(self) -> Array:
-        """(m,) what the effort limits leave besides Coulomb friction."""
+        """Effort limits less Coulomb friction, (m,)."""
         return self.share * self.effort.limits - self.coulomb
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) the limited quantities: position, speed and acceleration of each
-        joint, efforts by load.
+        """The limited quantities, (L,): position, speed and acceleration of each joint, efforts by
+        load.
         """
         return (
             *(f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints),
@@ -129,20 +133,22 @@ class Limits:
         )
 
     def largest(self, motion: Motion) -> tuple[float, str]:
-        """The largest share used of a limit, and its name."""
+        """Return the largest share used of a limit, and its name."""
         used = np.abs(self.shares(motion)).max(axis=0)
         return float(used.max()), self.names[int(used.argmax())]
 
     def share_of_whole(self, motion: Motion) -> Array:
-        """(L,) the largest share that a motion uses of each whole limit, with Coulomb friction."""
+        """Return the largest share (L,) that a motion uses of each whole limit, with Coulomb
+        friction.
+        """
         n, used = self.robot.n, np.abs(self.shares(motion)).max(axis=0)
         by_load = used[3 * n :].reshape(len(self.models), len(self.effort.limits))
         efforts = (by_load * self.allowed + self.coulomb) / self.effort.limits
         return np.concatenate([self.share * used[: 3 * n], efforts.ravel()])
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """The shares (N, L), and derivatives (3, N, m, n) of the m shares of
-        efforts by q, dq and ddq.
+        """Return the shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q,
+        dq and ddq.
         """
         scaled = self.effort.directions / self.allowed[:, None]
         slopes = [np.zeros((3, len(motion[0]), 0, self.robot.n))]
@@ -156,7 +162,7 @@ class Limits:
         return self.shares(motion), np.concatenate(slopes, axis=2)
 
     def shares(self, motion: Motion) -> Array:
-        """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
+        """Return shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         q, dq, ddq = motion
         parts = [(q - self.middle) / self.maximum[0], dq / self.maximum[1], ddq / self.maximum[2]]
         scaled = self.effort.directions / self.allowed[:, None]
@@ -168,8 +174,8 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: Ints) -> Array:
-        """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its
-        basis and their slopes.
+        """Return derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients,
+        of its basis and their slopes.
         """
         n, K = self.robot.n, basis[0].shape[1]
         efforts, J = at[:, 3 * n :], np.zeros((*at.shape, n, K))
@@ -182,16 +188,20 @@ class Limits:
 
 
 def _sides(shares: Array) -> Array:
-    """The sign, 1 or -1, of load-dependent friction that enlarges the shares of efforts."""
+    """Return the sign, 1 or -1, of load-dependent friction that enlarges the shares of efforts."""
     return np.where(shares < 0, -1.0, 1.0)
 
 
 def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
-    """The limits of a robot, of which a reference may use a `share` in (0, 1]; `place` names the
+    """Return the limits of a robot, of which a reference may use a `share` in (0, 1].
+
+    The torque is limited by each of the `models`, with the same friction. `place` names the
     description in errors.
 
-    The torque is limited by each of the `models`, with the same friction. Raises `BadInputError`
-    where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
+    Raises
+    ------
+    BadInputError : a joint has no limit, or friction alone needs more than a joint's or motor's
+        effort.
     """
     for (i, joint), (kind, tail) in product(
         enumerate(robot.joints), zip(KINDS, ("", "_s", "_s2"), strict=True)

@@ -41,7 +41,8 @@ BISECTIONS = 10
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchProblem:
-    """Minimise the criterion of a series, relative to the deviations `plain` (b,), within limits.
+    """Minimisation of the criterion of a series, relative to the standard errors `plain` (b,),
+    within limits.
 
     Pairs of `obstacles` keep the margin, None without any: a search starts where they are far
     apart, and what it finds is moved towards its start until they keep it.
@@ -55,24 +56,27 @@ class SearchProblem:
 
     @cached_property
     def basis(self) -> Motion:
-        """The basis of the series at the samples of the search."""
+        """Basis of the series at the samples of the search."""
         return self.series.basis(SAMPLES_PER_PERIOD * self.series.harmonics)
 
     @cached_property
     def finer(self) -> Motion:
-        """The basis at samples between them too, which check what is found."""
+        """Basis at samples between them too, which check what is found."""
         return self.series.basis(CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD * self.series.harmonics)
 
 
 def best_of_searches(
     problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]
 ) -> tuple[Array, Array]:
-    """Coefficients (n, K) of the best of several searches, and deviations (b,); limits
-    hold between samples too.
+    """Return coefficients (n, K) of the best of several searches, and standard errors (b,).
 
-    The best has the smallest criterion; searches in which no deviation exceeds
-    `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line of text at each
-    iteration. Raises `BadInputError`: if no search keeps the limits.
+    Limits hold between samples too. The best has the smallest criterion; searches in which no
+    standard error exceeds `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line
+    of text at each iteration.
+
+    Raises
+    ------
+    BadInputError : no search keeps the limits.
     """
     found, worst = list[tuple[bool, float, Array, Array]](), ""
     for i in range(STARTS):
@@ -104,8 +108,8 @@ def best_of_searches(
 
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
-    """A random reference that uses the same share of all limits, torque too;
-    without distances of links.
+    """Return a random reference that uses the same share of all limits, torque too; without
+    distances of links.
     """
     reference = fourier_reference(
         limits.robot,
@@ -119,7 +123,7 @@ def random_within(limits: Limits, series: Series, seed: int) -> FourierReference
 
 
 def _random_start(problem: SearchProblem, seed: int) -> Array:
-    """Coefficients (n, K) of a random reference within a share of the limits."""
+    """Return coefficients (n, K) of a random reference within a share of the limits."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
     x[:, 0] /= START_SHARE
@@ -135,8 +139,9 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
 
 
 def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
-    """The random pose (n,) of possible rest near the middle of the usable ranges, whose
-    links are farthest apart.
+    """Return the random pose (n,) of possible rest whose links are farthest apart.
+
+    It is near the middle of the usable ranges.
     """
     offsets = np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n))
     poses, still = limits.middle + offsets * limits.maximum[0], np.zeros(offsets.shape)
@@ -154,11 +159,11 @@ def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> N
 
 
 def best_series(problem: SearchProblem, start: Array, say: Callable[[float], None]) -> Array:
-    """Coefficients x (n, K) of the smallest criterion; limits hold between the samples
-    too, as far as possible.
+    """Return coefficients x (n, K) of the smallest criterion.
 
-    The search ignores distances: its result is moved towards `start`, which is within all limits,
-    until it is too. `say` gets the criterion after each iteration.
+    Limits hold between the samples too, as far as possible. The search ignores distances: its
+    result is moved towards `start`, which is within all limits, until it is too. `say` gets the
+    criterion after each iteration.
     """
     search = _Search(problem, say)
     kept = partial(
@@ -174,8 +179,8 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
 
 
 class _Search:
-    """The criterion and the limits as functions of the coefficients z (n K,), scaled so that
-    all have similar effects.
+    """The criterion and the limits as functions of the coefficients z (n K,), scaled to similar
+    effects.
     """
 
     def __init__(self, problem: SearchProblem, say: Callable[[float], None]) -> None:
@@ -189,7 +194,7 @@ class _Search:
         self._last: tuple[Array, Array, Array, Ints] | None = None
 
     def minimise(self, x: Array, iterations: int) -> Array:
-        """Coefficients (n, K) after iterations from x."""
+        """Return coefficients (n, K) after iterations from x."""
         from scipy.optimize import minimize
 
         done = minimize(
@@ -204,8 +209,8 @@ class _Search:
         return np.asarray(done.x.reshape(self._unit.shape) * self._unit)
 
     def tighten(self, x: Array) -> None:
-        """Scale shares at the samples from now on by how much those of x
-        (n, K) rise between them.
+        """Scale shares at the samples from now on by how much those of x (n, K) rise between
+        them.
         """
         coarse, fine = (
             np.abs(self._problem.limits.shares(motion_of(x, basis))).max(axis=0)
@@ -229,7 +234,9 @@ class _Search:
         return self._value, (by_x * self._unit).ravel()
 
     def _shares_at(self, z: Array) -> tuple[Array, Array, Ints]:
-        """Shares, their slopes, and the samples of their peaks; those of the last z are cached."""
+        """Return shares, their slopes, and the samples of their peaks; those of the last z are
+        cached.
+        """
         if self._last is None or not np.array_equal(self._last[0], z):
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
             windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
@@ -262,11 +269,11 @@ def shrink(
     share: float = 1.0,
     obstacles: Obstacles | None = None,
 ) -> Array:
-    """A series moved towards another until it is within a share of all limits at
-    the samples of the basis.
+    """Move a series towards another until it is within a share of all limits at the samples of the
+    basis.
 
-    By default `towards` is rest at its end position. Shapes of `obstacles` keep the
-    margin. Returns coefficients (n, K), beyond `share` if the other exceeds it too.
+    By default `towards` is rest at its end position. Shapes of `obstacles` keep the margin. Return
+    coefficients (n, K), beyond `share` if the other exceeds it too.
     """
     still = np.c_[x[:, :1], np.zeros_like(x[:, 1:])] if towards is None else towards
 

@@ -32,8 +32,9 @@ TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to th
 
 
 def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """The robot with a set's terms beside the usual ones; friction by direction becomes common
-    friction and an offset.
+    """Return the robot with a set's terms beside the usual ones.
+
+    Friction by direction becomes common friction and an offset.
     """
     return replace(
         robot,
@@ -54,15 +55,15 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
-    """By joint, the terms of a set and the usual ones, as a description lists
-    them under `friction`.
+    """Return by joint the terms of a set and the usual ones, as a description lists them under
+    `friction`.
     """
     return {joint.name: joint.terms for joint in with_terms(robot, terms).joints}
 
 
 def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
-    """These terms at all joints that can have them: Stribeck friction only
-    if its speed is given.
+    """Return these terms at all joints that can have them: Stribeck friction only if its speed is
+    given.
     """
     return tuple(
         frozenset(kind for kind in kinds if kind != "stribeck" or has)
@@ -96,26 +97,27 @@ class Trial:
 
     @property
     def score(self) -> float:
-        """Sum over the parts."""
+        """Sum of the scores over the parts."""
         return float(self.scores.sum())
 
     @property
     def held_out_error_percent(self) -> float:
-        """Mean over the parts."""
+        """Mean held-out error over the parts, percent."""
         return float(np.nanmean(self.held_out_percents))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TermChoice:
-    """The sets of friction terms tried on recordings, best first, and the recommended one.
+    """The sets of friction terms tried on recordings, best first, and the selected one.
 
     Attributes:
-        recordings: in the order given; `overrides`: of their fits.
+        recordings: in the order given.
+        overrides: settings of their fits.
         held_out: names of the parts held out: recordings, or fifths of one.
-        usual: the trial without added terms; `recommended`: the smallest that predicts
-            nearly as well as the best.
-        left_out: unidentifiable terms, and recordings that the others cannot
-            predict, one line each.
+        usual: the trial without added terms.
+        recommended: the smallest set that predicts nearly as well as the best.
+        left_out: unidentifiable terms, and recordings that the others cannot predict, one line
+            each.
     """
 
     recordings: tuple[Signals, ...]
@@ -133,11 +135,13 @@ class TermChoice:
 
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
-        """The recommended terms by joint, as a description lists them under `friction`."""
+        """The selected terms by joint, as a description lists them under `friction`."""
         return described_terms(self.robot, self.recommended.terms)
 
     def fits(self) -> list[results.Evidence]:
-        """Least squares of the recordings with the usual terms, and with the recommended ones."""
+        """Solve least squares of the recordings with the usual terms, and with the selected
+        ones.
+        """
         return [
             results.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
             for trial in (self.usual, self.recommended)
@@ -153,8 +157,21 @@ def select_friction(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Raises `NoFitError` if recordings are too short or excite too little, and `BadInputError` if
-    they are not of one robot, or if fewer than two parts can be predicted by the others.
+    Parameters
+    ----------
+    signals : the recording, or several of one robot.
+    overrides : settings of the fits that replace those of the description.
+    say : called with a line of text for each step.
+
+    Returns
+    -------
+    The sets that were tried, best first, and the selected one.
+
+    Raises
+    ------
+    NoFitError : recordings are too short or excite too little.
+    BadInputError : they are not of one robot, or fewer than two parts can be predicted by the
+        others.
     """
     recordings = tuple(
         source if isinstance(source, Signals) else source.load()
@@ -207,7 +224,7 @@ def select_friction(
 
 
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
-    """The smallest set within one standard error of the best."""
+    """Return the smallest set within one standard error of the best."""
     best = min(trials, key=lambda trial: trial.score)
     near = [
         trial
@@ -227,15 +244,18 @@ class Trials:
     """Trials of sets of terms on recordings; each set is tried once.
 
     Attributes:
-        whole: the model of all recordings with all tried terms; `added`: joint and term of the
-            base parameters of these, by name.
-        parts: masks (K,) of the spans of time that are held out: fifths of a single recording, or
-            of each of several that differ in payload, as only all of them together determine the
-            parameters; else each recording. `names`: of the parts.
+        whole: the model of all recordings with all tried terms.
+        added: joint and term of the base parameters of these, by name.
+        parts: masks (K,) of the time blocks that are held out: fifths of a single recording, or of
+            each
+            of several that differ in payload, as only all of them together determine the
+            parameters;
+            else each recording.
+        names: names of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
-        done: the trials; `left_out`: joints and terms that some of them leave
-            out, each with the reason.
+        done: the trials.
+        left_out: joints and terms that some of them leave out, each with the reason.
     """
 
     def __init__(self, whole: methods.Model, rows: Rows) -> None:
@@ -275,8 +295,8 @@ class Trials:
         )
 
     def of(self, terms: TermSet) -> Trial:
-        """The trial of a set, without terms that are unidentifiable and load
-        friction that does not settle.
+        """Return the trial of a set, without terms that are unidentifiable or load-dependent
+        friction that does not converge.
         """
         if terms in self.done:
             return self.done[terms]
@@ -315,8 +335,8 @@ class Trials:
     def _significant(
         self, system: estimation.System, estimate: estimation.Estimate
     ) -> Sequence[str]:
-        """Names of the parameters whose interval excludes 0, so wide that few terms are shown by
-        chance.
+        """Return names of the parameters whose interval excludes 0, so wide that false positives
+        are rare.
         """
         found = estimation.intervals_of(system, estimate)
         level = 1 - FALSE_TERM_RATE / 2 / max(1, len(self.added))
@@ -329,7 +349,7 @@ class Trials:
         ]
 
     def _terms(self, names: Sequence[str]) -> TermSet:
-        """The tried terms that have these parameters."""
+        """Return the tried terms that have these parameters."""
         added = [self.added[name] for name in names if name in self.added]
         return tuple(
             frozenset(term for i, term in added if i == j) for j in range(len(self.weights))
@@ -345,8 +365,8 @@ class Trials:
         return model, settled, settled.rows
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
-        """By part the parameters (b,) by the others, and the names of those that
-        they do not determine.
+        """Return by part the parameters (b,) by the others, and the names of those that they do not
+        determine.
         """
         system = settled.system
         rows = np.column_stack(system.weighted(self.weights))

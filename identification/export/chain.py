@@ -97,8 +97,9 @@ class UrdfTree:
         )
 
     def path(self, joint: str | None) -> list[str]:
-        """The joints from the root to `joint`, including it; more than the URDF
-        has if they form a loop.
+        """Return the joints from the root to `joint`, including it.
+
+        They are more than the URDF has if they form a loop.
         """
         path: list[str] = []
         while joint is not None and len(path) <= len(self.joints):
@@ -132,7 +133,7 @@ def _by_name(robot: ET.Element, tag: str, place: Location) -> dict[str, ET.Eleme
 
 
 def _end(joint: ET.Element, tag: str) -> str:
-    """The `parent` or `child` link of a joint; empty if missing."""
+    """Return the `parent` or `child` link of a joint; empty if missing."""
     return attribute_of(joint, tag, "link") or ""
 
 
@@ -143,7 +144,7 @@ def attribute_of(element: ET.Element, tag: str, name: str) -> str | None:
 
 
 def finite_number(text: str | None, place: Location, key: str) -> float:
-    """Read a number of a URDF; what is none or infinite is refused."""
+    """Read a number of a URDF; refuse anything that is not a finite number."""
     try:
         value = float(text or "")
     except ValueError:
@@ -185,9 +186,9 @@ class Chain:
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: what is odd in the inertials.
-        has_inertials: whether they are a priori values: masses of all joints, none impossible.
+        has_inertials: True if they are a priori values: masses of all joints, none impossible.
         bandwidth_hz: of the position loops; not part of a URDF.
-        torque_sensors: whether these are the source of the recorded efforts.
+        torque_sensors: True if these are the source of the recorded efforts.
     """
 
     place: str
@@ -204,9 +205,12 @@ class Chain:
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
         """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
 
-        `--range` is ± about zero. The URDF's range and speed still apply; of several
-        `--bandwidth-hz` the lowest is used. Raises `BadInputError`: a wrong number of values, a
-        range outside the URDF's.
+        `position` is ± about zero. The URDF's range and speed still apply; of several values of
+        `bandwidth_hz` the lowest is used.
+
+        Raises
+        ------
+        BadInputError : a wrong number of values, or a range outside the URDF's.
         """
         joints, n, place = list(self.joints), len(self.joints), Location(self.place)
         alike = len({joint.type for joint in joints}) == 1
@@ -254,8 +258,12 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
     `names` are the joints to identify, from the base outwards; by default the longest serial chain
-    without fingers. Raises `BadInputError`: not a URDF, not one tree, floating or planar joints,
-    two chains of equal length, invalid numbers, reversed limits.
+    without fingers.
+
+    Raises
+    ------
+    BadInputError : the file is not a URDF or not one tree; it has floating or planar joints, two
+        chains of equal length, invalid numbers, or reversed limits.
     """
     text = read_bytes(path)
     tree = UrdfTree(text, Location(str(path)))
@@ -363,8 +371,10 @@ def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
 def _check_inertials(
     tree: UrdfTree, rigid: Mapping[str, Sequence[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """A note that there are no a priori values, where joints move no mass or inertials are
-    negative; notes on moments that violate the triangle inequality: these can be simulated.
+    """Return notes on the inertials.
+
+    A note says that there are no a priori values, if joints move no mass or inertials are negative.
+    Others name moments that violate the triangle inequality; these can be simulated.
     """
     negative, notes, masses = list[str](), list[str](), dict.fromkeys(rigid, 0.0)
     for joint, link in ((joint, link) for joint, links in rigid.items() for link in links):

@@ -30,15 +30,15 @@ _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
 
 def robot_of_chain(chain: Chain) -> Robot:
-    """The robot of the description that `init` writes, with its URDF."""
+    """Return the robot of the description that `init` writes, with its URDF."""
     return _load_robot(describe(chain, "robot.urdf"), chain)
 
 
 def read_robot(
     path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None
 ) -> Robot:
-    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as
-    of `Chain.with_options`.
+    """Read the robot of a robot.toml, or of a URDF with `joints` as in `read_chain` and `options`
+    as in `Chain.with_options`.
     """
     if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
@@ -51,7 +51,9 @@ def read_robot(
 
 
 def chain_of_letters(letters: str) -> Chain:
-    """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
+    """Return joints by their letters, R revolute and P prismatic, of which nothing else is
+    known.
+    """
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
     COMMAND_LINE.require(
         types and None not in types,
@@ -70,13 +72,17 @@ def chain_of_letters(letters: str) -> Chain:
 
 
 def describe(chain: Chain, urdf: str, bus: str = "") -> str:
-    """The text of the robot.toml of a chain; comments with `FILL IN` mark what URDF
-    and options leave open.
+    """Return the text of the robot.toml of a chain.
 
-    The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf`
-    is the path relative to its folder. `[parameters]` has the links' inertials in the frames of
-    `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as
-    Fc; nothing if a joint moves no mass. Raises `BadInputError`: a URDF that does not load.
+    Comments with `FILL IN` mark what URDF and options leave open. The text loads without changes;
+    `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
+    folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and
+    locked links lumped into their carrier; damping as Fv and friction as Fc; nothing if a joint
+    moves no mass.
+
+    Raises
+    ------
+    BadInputError : the URDF does not load.
     """
     head = "\n".join(
         [
@@ -93,8 +99,10 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
 
 def describe_rows(chain: Chain, bus: str = "") -> str:
-    """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in,
-    where there is no URDF.
+    """Return the text of a robot.toml with rows of modified Denavit–Hartenberg parameters to be
+    filled in.
+
+    It is for robots without URDF.
     """
     rows = f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}"
     lines = [
@@ -209,7 +217,7 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
 
 
 def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
-    """Ratio, drive gain and unit of the effort.
+    """Return the lines of ratio, drive gain and unit of the effort.
 
     A gain has no effect before the ratio is known too: it would give wrong N m.
     """
@@ -233,7 +241,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
-    """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
+    """Return a priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
     if not chain.has_inertials:
         return
@@ -269,7 +277,7 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
 
 
 def _drives(chain: Chain) -> Iterator[str]:
-    """The example drives, without the marks of its lines."""
+    """Return the example drives, without the marks of its lines."""
     period_ms = max(_SHORTEST_SYNC_MS, math.ceil(2 * _SYNC_PER_DRIVE_MS * len(chain.joints)) / 2)
     yield from (
         "[bus]",

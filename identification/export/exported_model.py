@@ -49,8 +49,13 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
 
     Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes
     Ia6): it is subtracted here. The rest may be negative if the joints that share the motor
-    together dissipate energy. Raises `BadInputError`, with the parameters' file `place`, since
-    simulators do not check: impossible links, negative rotors, friction that generates energy.
+    together dissipate energy.
+
+    Raises
+    ------
+    BadInputError : links are impossible, rotor inertias negative, or friction generates energy,
+        none of
+        which simulators check; it names the parameters' file `place`.
     """
     for j, link in enumerate(chi[dynamics.link_columns(model)]):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
@@ -75,8 +80,9 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
 
 
 def _of_axes(model: dynamics.InverseModel, chi: Array) -> ExportedModel:
-    """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the
-    mean of both directions.
+    """Return the terms of joints and motors in chi (p,), by axis.
+
+    One-sided friction is that of the mean of both directions.
     """
     n = model.robot.n
     terms = [
@@ -107,14 +113,15 @@ def _of_axes(model: dynamics.InverseModel, chi: Array) -> ExportedModel:
 
 
 def _coupled(term: dynamics.JointTerm) -> bool:
-    """Whether it is friction of a motor that turns with several joints."""
+    """Test for friction of a motor that turns with several joints."""
     return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
 
 
 def random_regressor(m: ExportedModel) -> Array:
-    """The regressor (N, n, p) at states that are uniform within the limits of the joints, by
-    default ±pi, ±1, ±5; its columns of load-dependent friction use the links' torque of these
-    parameters.
+    """Return the regressor (N, n, p) at random states, uniform within the limits of the joints.
+
+    Default limits are ±pi, ±1, ±5. The columns of load-dependent friction use the links' torque of
+    these parameters.
     """
     rng, joints, motion = np.random.default_rng(SEED), m.model.robot.joints, list[Array]()
     for quantity, default in DEFAULT_LIMITS.items():
@@ -131,11 +138,11 @@ def random_regressor(m: ExportedModel) -> Array:
 
 
 def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Losses]:
-    """The model of the terms that a format has, with or without `motors` (armatures,
-    couplings), and the losses.
+    """Return the model of the terms that a format has, and the losses.
 
-    One-sided friction becomes the mean of both directions; the friction of one joint beside that of
-    a motor that turns with it too is at least 0.
+    `motors`: the format has armatures and couplings. One-sided friction becomes the mean of both
+    directions; the friction of one joint beside that of a motor that turns with it too is at least
+    0.
     """
     n, losses, terms = m.model.robot.n, Losses(), m.model.terms
     W = random_regressor(m)
@@ -182,8 +189,8 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
 
 
 def about_com(link: Array) -> tuple[float, Array, Array]:
-    """Mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, from a link's parameters
-    (10,) about the origin.
+    """Return mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, from a link's
+    parameters (10,) about the origin.
     """
     mass = float(link[9])
     com = link[6:9] / mass

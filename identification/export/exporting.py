@@ -50,8 +50,10 @@ def export_fit(
 ) -> Document:
     """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
 
-    Raises `BadInputError`: the fit is not to be used and not allowed as
-        `untrusted`; as of `model_of_fit`.
+    Raises
+    ------
+    BadInputError : the fit is not to be used and not allowed as `untrusted`; or as in
+        `model_of_fit`.
     """
     refuse_clash((), of_kinds=outputs)
     reasons = (
@@ -71,8 +73,10 @@ def export_fit(
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """The robot of a fit, by its own description and drive gains, with all standard parameters;
-    lines on their origin.
+    """Return the robot of a fit, by its own description and drive gains, with all standard
+    parameters.
+
+    Lines on their origin are returned too.
     """
     stored, lines = with_findings(stored, place)
     robot = stored_robot(stored, place)
@@ -156,8 +160,9 @@ def export_model(
     toml: Path | None = None,
     lines: tuple[str, ...] = (),
 ) -> tuple[dict[Path, str], Document]:
-    """A model in the requested formats, by path, and a report; `source` names the fit, `lines`
-    the origin of its values.
+    """Write a model in the requested formats, by path, and return a report.
+
+    `source` names the fit, `lines` the origin of its values.
     """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
@@ -192,7 +197,7 @@ def export_model(
 def _make_section(
     m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]
 ) -> Section:
-    """The losses of a format for each joint."""
+    """Make the section of a format's losses for each joint."""
     if not losses:
         return Section(title=f"{title}: complete", lines=notes)
     robot = m.model.robot
@@ -222,8 +227,9 @@ def _make_section(
 def _make_toml(
     m: ExportedModel, toml: Path, urdf: Path | None, source: str
 ) -> tuple[str, tuple[str, ...]]:
-    """The fit's robot.toml with the values and the URDF written with it; lines on files that it
-    names but are missing.
+    """Return the fit's robot.toml with the values and the URDF written with it.
+
+    Lines name files that it refers to but that are missing.
     """
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
     values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
@@ -242,8 +248,9 @@ def _make_toml(
 def replace_in_tables(
     text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str
 ) -> str:
-    """A description with these values, by key, in the [[kind]] tables of these names; a key for
-    None becomes a comment.
+    """Return a description with these values, by key, in the [[kind]] tables of these names.
+
+    A key for None becomes a comment.
     """
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
@@ -269,9 +276,11 @@ def replace_in_tables(
 
 
 def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, expected: str) -> str:
-    """An edited description, `made`, which must hold the values `now`; `key` is what was edited.
+    """Check that an edited description, `made`, holds the values `now`; `key` is what was edited.
 
-    Raises `BadInputError` where its lines are not as `expected`.
+    Raises
+    ------
+    BadInputError : its lines are not as `expected`.
     """
     with suppress(tomllib.TOMLDecodeError):
         if tomllib.loads(made) == now:
@@ -282,11 +291,15 @@ def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, expect
 def replace_parameters(
     text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
 ) -> str:
-    """Replace the values (SI) of `[parameters]` in a description, or append the
-    table; all other lines stay.
+    """Replace the values (SI) of `[parameters]` in a description, or append the table; all other
+    lines stay.
 
     The remark, on the origin of the values, replaces the remarks directly above the table; the name
-    `urdf` replaces the URDF's. Raises `BadInputError`: the table cannot be replaced line by line.
+    `urdf` replaces the URDF's.
+
+    Raises
+    ------
+    BadInputError : the table cannot be replaced line by line.
     """
     was, shown = tomllib.loads(text), {name: format_numbers(x) for name, x in values.items()}
     lines, after = text.splitlines(), list[str]()
@@ -321,11 +334,15 @@ def replace_parameters(
 
 
 def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
-    """The fit with what it found in its description, and lines on that: its drive gains, and the
-    control law of its recording where none is described.
+    """Return the fit with its findings in its description, and lines on them.
 
-    A gain that is not determined is left as described; without a described one it is written with
-    its wide interval. Raises `BadInputError` where a table cannot be replaced line by line.
+    Findings are its drive gains, and the control law of its recording if none is given. A gain that
+    is not well determined is left as given; without a given one it is written with its wide
+    interval.
+
+    Raises
+    ------
+    BadInputError : a table cannot be replaced line by line.
     """
     text, lines = stored.description.get("robot.toml", ""), list[str]()
     place = f"the robot.toml in {place}"

@@ -35,7 +35,9 @@ _MUJOCO = [0, 3, 5, 1, 2, 4]  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the links that the joints move: those of the URDF, or `link_1`, ... of a new one."""
+    """Return names of the links that the joints move: those of the URDF, or `link_1`, ... of a new
+    one.
+    """
     if robot.urdf is None:
         return tuple(f"link_{j + 1}" for j in range(robot.n))
     joints = {
@@ -55,8 +57,8 @@ def _element(tag: str, attributes: dict[str, str], *children: ET.Element) -> ET.
 
 
 def mjcf_text(m: ExportedModel) -> str:
-    """The MJCF of a model, without offsets, and without friction that is
-    neither viscous nor dry.
+    """Return the MJCF of a model, without offsets, and without friction that is neither viscous nor
+    dry.
     """
     robot, loop = m.model.robot, servo_loop(m)
     values = [
@@ -90,7 +92,7 @@ def mjcf_text(m: ExportedModel) -> str:
 
 
 def _world(m: ExportedModel, values: Sequence[dict[str, str]]) -> ET.Element:
-    """The bodies, each with its joint, which has the `values` of its axis."""
+    """Return the bodies, each with its joint, which has the `values` of its axis."""
     robot, carriers = m.model.robot, [ET.Element("worldbody")]
     for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
         origin, rotation, axis = (of_joints[j] for of_joints in m.model.joint_frames)
@@ -125,8 +127,9 @@ def _world(m: ExportedModel, values: Sequence[dict[str, str]]) -> ET.Element:
 
 
 def servo_loop(m: ExportedModel) -> ControlLaw | None:
-    """The loop of `[controller]` that actuators can have: of motors' positions, each a joint's or a
-    tendon's of the model.
+    """Return the loop of `[controller]` that actuators can have.
+
+    It is a loop of motors' positions, each a joint's or a tendon's of the model.
     """
     robot = m.model.robot
     several = {
@@ -140,8 +143,10 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
 
 
 def _servos(m: ExportedModel, loop: ControlLaw) -> Iterator[ET.Element]:
-    """Actuators of the motors' angles, kp = Kp R² G in N m per rad of the joint, or of the tendon;
-    a second one for speeds.
+    """Return actuators of the motors' angles, kp = Kp R² G in N m per rad of the joint, or of the
+    tendon.
+
+    A second actuator is for speeds.
     """
     robot, several = m.model.robot, m.names[m.model.robot.n :]
     for j, motor in enumerate(robot.motors):
@@ -161,15 +166,16 @@ def _servos(m: ExportedModel, loop: ControlLaw) -> Iterator[ET.Element]:
 
 
 def quaternion(R: Array) -> Array:
-    """Unit quaternion w x y z of a rotation (3, 3); w is not negative."""
+    """Return the unit quaternion w x y z of a rotation (3, 3); w is not negative."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))[[3, 0, 1, 2]]
 
 
 def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
-    """The URDF of a model without armatures and couplings; lines on other links that changed,
-    and on unknown limits.
+    """Return the URDF of a model without armatures and couplings, and lines on losses.
+
+    The lines name other links that changed, and unknown limits.
     """
     robot = m.model.robot
     document = minidom.parseString(
@@ -239,7 +245,7 @@ def _child(element: Element, name: str) -> Element | None:
 
 
 def _attribute(element: Element, name: str, attribute: str) -> str:
-    """Of the first child with this name; empty without one."""
+    """Return an attribute of the first child with this name; empty without one."""
     child = _child(element, name)
     return child.getAttribute(attribute) if child else ""
 
@@ -256,7 +262,7 @@ def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
 
 
 def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
-    """Lines on limits of a new URDF that are unknown."""
+    """Return lines on limits of a new URDF that are unknown."""
     for key, keys in (
         ("effort", "effort_nm, effort_n or saturation"),
         ("velocity", "speed_deg_s or speed_m_s"),
@@ -273,8 +279,8 @@ def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
 def _find_lumped(
     moved: set[str], joints: dict[str, Element], links: dict[str, Element]
 ) -> dict[str, tuple[str, Array]]:
-    """For each link fixed to another one: the link that carries it, and its frame in that
-    link's frame, T (4, 4).
+    """Find the link that carries each link fixed to another one, and its frame in that link's
+    frame, T (4, 4).
     """
     above = {
         _attribute(joint, "child", "link"): (_attribute(joint, "parent", "link"), _pose(joint))
@@ -293,7 +299,7 @@ def _find_lumped(
 
 
 def _pose(element: Element) -> Array:
-    """The `<origin>` of a joint or an inertial (4, 4)."""
+    """Return the `<origin>` of a joint or an inertial (4, 4)."""
     from scipy.spatial.transform import Rotation
 
     xyz, rpy = (
@@ -305,15 +311,16 @@ def _pose(element: Element) -> Array:
 
 
 def _read_inertia(inertial: Element, T: Array) -> Array:
-    """Ten parameters (10,) of an inertial in a frame where its link's frame is T (4, 4)."""
+    """Return ten parameters (10,) of an inertial in a frame where its link's frame is T (4, 4)."""
     about = [float(_attribute(inertial, "inertia", key) or 0.0) for key in INERTIA]
     mass, T = float(_attribute(inertial, "mass", "value") or 0.0), T @ _pose(inertial)
     return link_parameters(T @ pseudo_inertia(np.array([*about, 0.0, 0.0, 0.0, mass])) @ T.T)
 
 
 def make_urdf(model: InverseModel) -> str:
-    """A URDF for a robot that has none, or none with shapes: joints with limits, links drawn as
-    cylinders, no inertials.
+    """Make a URDF for a robot that has none, or none with shapes.
+
+    It has joints with limits, links drawn as cylinders, and no inertials.
     """
     robot = model.robot
     names = ["base_link", *(f"link_{j + 1}" for j in range(robot.n))]
@@ -352,15 +359,15 @@ def make_urdf(model: InverseModel) -> str:
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """The angles of a rotation (3, 3) in a URDF, also at a pitch of 90°."""
+    """Return the angles of a rotation (3, 3) in a URDF, also at a pitch of 90°."""
     yaw, pitch = math.atan2(R[1, 0], R[0, 0]), math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
     return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
 
 
 def _drawn(end: Array) -> ET.Element:
-    """A cylinder from the link's origin to the next joint, `end` (3,); a box
-    if `end` is the origin.
+    """Return a cylinder from the link's origin to the next joint, `end` (3,), or a box if `end` is
+    the origin.
     """
     length = float(np.linalg.norm(end))
     if length <= 1e-6:

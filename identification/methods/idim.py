@@ -57,7 +57,7 @@ def solve(
     Raises
     ------
     NoFitError : a recording is too short, the recordings excite too little, or the first
-        pass gives no estimate.
+        iteration gives no estimate.
     BadInputError : the recordings are not of one robot, or an `iteration` is
         given to least squares.
     """
@@ -87,8 +87,10 @@ def _read(
     iteration: Iteration | None,
     say: ProgressCallback,
 ) -> tuple[Model, Method, str]:
-    """The model, the method and its reason: with drive gains always instruments, by default where
-    every recording has its reference.
+    """Return the model, the method and its reason.
+
+    With drive gains the method is always instruments, by default where every recording has its
+    reference.
     """
     if overrides.gains and method not in (None, "iv"):
         raise BadInputError(
@@ -116,7 +118,7 @@ def _read(
 
 
 def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
-    """The default method and its reason: instruments if every recording has its reference."""
+    """Return the default method and its reason: instruments if every recording has its reference."""
     if model.exogenous:
         return "iv", "reference recorded"
     without = [problem.signals for problem in model.problems if problem.signals.q_ref is None]
@@ -126,8 +128,10 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
 
 
 def _can_be_simulated(model: Model, found: Pass) -> bool:
-    """Whether a robot can be simulated: always with given gains; with those of a solution only
-    if they are positive, and references recorded.
+    """Test whether a robot can be simulated.
+
+    It always can with given drive gains; with those of a solution only if they are positive, and
+    references recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
     return not model.unknowns.motors or (
@@ -136,8 +140,9 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
 
 
 def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
-    """IDIM-LS: W and Y from the measured torque and the filtered position; drive gains with the
-    torque that x predicts as instruments.
+    """Solve by IDIM-LS: W and Y are from the measured torque and the filtered position.
+
+    Instruments of drive gains have the torque that x predicts.
     """
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
     rows = model.rows(x, model.candidates(x, (found.kept.speed, found.kept.most)))
@@ -165,12 +170,12 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
 
 
 def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
-    """IDIM-IV: the instruments Z are the columns of x along the motion of the robot simulated with
-    the previous estimate.
+    """Solve by IDIM-IV: the instruments Z are the columns of x along the motion of the simulated
+    robot.
 
-    W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference,
-    same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq,
-    decimated as W, finds the delay L of the torque by the same instruments, and solves for
+    W and Y are those of IDIM-LS. Each iteration simulates the closed loop with beta_k (same
+    reference, same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq,
+    ddq, decimated as W, estimates the delay L of the torque by the same instruments, and solves for
     beta_k+1.
     """
     model, passes, failure = loop.model, [loop.start], None

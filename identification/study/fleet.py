@@ -36,8 +36,9 @@ Found = dict[Path, list[RecordingFile]]
 
 
 class FleetRow(ResultFile, frozen=True, kw_only=True):
-    """The fit of a recording, or of those of a folder together; `failed` for a `reason`;
-    `changed` by `with_changes`.
+    """The fit of a recording, or of those of a folder together.
+
+    `failed` for a `reason`; `changed` by `with_changes`.
     """
 
     file: str
@@ -56,10 +57,13 @@ class FleetRow(ResultFile, frozen=True, kw_only=True):
 def found_recordings(
     folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False
 ) -> Found:
-    """Every `*.mcap` under the folders; `by_folder` together with the others in its folder.
+    """Find every `*.mcap` under the folders; `by_folder` together with the others in its folder.
 
-    The file `robot` replaces the stored descriptions. Raises `BadInputError`: if one of
-    `folders` has no recording.
+    The file `robot` replaces the stored descriptions.
+
+    Raises
+    ------
+    BadInputError : one of `folders` has no recording.
     """
     files, found, described = set[Path](), Found(), load_robot(robot) if robot else None
     for folder in folders:
@@ -79,11 +83,14 @@ def found_recordings(
 def run_fleet(
     found: Found, method: Method | None, store: Path, work: Work, say: Callable[[str], None]
 ) -> list[FleetRow]:
-    """A row for each entry of `found`, ordered by start; those without a start come last.
+    """Return a row for each entry of `found`, ordered by start; those without a start come last.
 
     Each fit is stored in the folder `store`, and reused until a file, its description, the method
-    or versions of packages differ. A failure is a row with a `reason`. Raises `BadInputError` if a
-    fit cannot be stored, or a worker ends early.
+    or versions of packages differ. A failure is a row with a `reason`.
+
+    Raises
+    ------
+    BadInputError : a fit cannot be stored, or a worker ends early.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
     for path, sources in found.items():
@@ -115,8 +122,9 @@ def run_fleet(
 
 
 def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) -> FleetRow:
-    """The row with the fit of one recording, or of several of one robot together, or with the
-    reason why there is none.
+    """Return the row with the fit of one recording, or of several of one robot together.
+
+    A failed fit gives a row with the reason.
     """
     try:
         loaded = tuple(source.load() for source in sources)
@@ -144,12 +152,13 @@ def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) 
 
 
 def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
-    """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before,
-    in the order of `rows`.
+    """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before.
 
-    Compared are fits of one robot in one folder by one method with a known start, but for the
+    The rows are compared in their order: fits of one robot in one folder by one method with a known
+        start, but not with the
     verdict `do not use`. Of two independent estimates of one value with equal intervals 0.6 % are
-    marked: |a - b| > 2 * 1.96 sigma.
+    named:
+    |a - b| > 2 * 1.96 sigma.
     """
     marked, before = list[FleetRow](), dict[tuple[str, ...], FleetRow]()
     for row in rows:
@@ -166,12 +175,12 @@ def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
 
 
 def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
-    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet
-    file, whole or not at all.
+    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet file, completely or
+    not at all.
 
-    Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width
-    of its 95 % interval, with the `unit` in the metadata of a Parquet column. Missing values
-    are null, in CSV empty.
+    Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width of
+    its 95 % interval, with the `unit` in the metadata of a Parquet column. Missing values are null,
+    in CSV empty.
     """
     import pyarrow
     from pyarrow import csv, parquet
@@ -203,8 +212,8 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
 
 
 def fleet_document(rows: Sequence[FleetRow]) -> Document:
-    """The printed table: a line per fit with what has changed since the one before; the
-    reasons of what failed.
+    """Make the printed table: a line per fit with the changes since the one before, and the reasons
+    of failures.
     """
     table = Table(
         columns=(

@@ -46,9 +46,10 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, with `units`, empty without a fit; `ended` is the
-    status of iv after so many `passes`, or why there is no fit. `known`: whether the values of
-    `[parameters]` are `true`, of a simulation, or `described`.
+    """The `values` of a variant by parameter, with `units`, empty without a fit.
+
+    `ended` is the status of iv after so many `passes`, or why there is no fit. `known`: the values
+    of `[parameters]` are `true`, of a simulation, or `described`.
     """
 
     variant: Variant
@@ -61,8 +62,8 @@ class VariedFit:
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
-    """The fit by the rules, and one per variant; `noises` of the position are in rad or m
-    rms, None by the travel.
+    """Fit by the rules, and once per variant; `noises` of the position are in rad or m rms, None by
+    the travel.
     """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
@@ -93,7 +94,7 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
 
 @one_thread
 def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
-    """Both fits of a variant; the noise of all variants has one seed."""
+    """Return both fits of a variant; the noise of all variants has one seed."""
     signals = source.load()
     signals = replace(
         signals,
@@ -130,8 +131,10 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
 
 
 def changes_of(fits: Sequence[VariedFit], name: str) -> Array:
-    """(fits, 4) moves of LS and of IV from the fit by the rules, in half-widths of IV there, and in
-    their own; NaN without.
+    """Return changes (fits, 4) of LS and of IV from the fit by the rules, in half-widths of IV
+    there, and in their own.
+
+    Missing values are NaN.
     """
     ls, _, iv, half = fits[0].values[name]
     values = np.array([fit.values.get(name, (np.nan,) * 4) for fit in fits])
@@ -140,8 +143,9 @@ def changes_of(fits: Sequence[VariedFit], name: str) -> Array:
 
 
 def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
-    """The largest moves of both methods by variant, and all values; the title says where
-    least squares moves most.
+    """Make the report of the largest changes of both methods by variant, and all values.
+
+    The title says where least squares changes most.
     """
     names = fits[0].essential or tuple(fits[0].values)
     # (parameters, fits, both methods twice)

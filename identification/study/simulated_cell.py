@@ -81,15 +81,15 @@ class Noise(CellOptions):
         )
 
     def seen(self, drawn: Array, q: Array, at: int | slice = slice(None)) -> Array:
-        """Readings of positions q (N, n), or (n,) of one instant, with noise drawn (N, n) and in
-        steps of the encoder.
+        """Return readings of positions q (N, n), or (n,) of one instant, with noise drawn (N, n)
+        and in steps of the encoder.
         """
         q, step = q + drawn[at], self.encoder_step
         return np.asarray(np.rint(q / step) * step) if step else q
 
     def on_effort(self, held: Array, seed: int) -> Array:
-        """Recorded torques (N, n) from the controller's torques, which are held
-        from sample to sample.
+        """Return recorded torques (N, n) from the controller's torques, which are held from sample
+        to sample.
         """
         rows, last = np.arange(len(held)), np.zeros((1, held.shape[1]))
         streams = [np.random.default_rng([seed, k]) for k in (_EFFORT, _COLOURED)]
@@ -113,14 +113,14 @@ class Noise(CellOptions):
 
 
 def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
-    """The base parameters of the robot and their true values (b,) in a study."""
+    """Return the base parameters of the robot and their true values (b,) in a study."""
     idm = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(idm)
     return base, dynamics.described_parameters(idm, base)
 
 
 def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectModel:
-    """The direct model with the values of the description, and a payload."""
+    """Return the direct model with the values of the description, and a payload."""
     idm = dynamics.InverseModel(robot)
     base, chi = dynamics.base_parameters(idm), dynamics.known_parameters(idm)
     if payload is not None:
@@ -131,8 +131,8 @@ def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectM
 def periodic_reference(
     robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S
 ) -> FourierReference:
-    """A random exciting reference of whole periods, each of about `period_s`, at
-    rest after `duration_s`.
+    """Return a random exciting reference of whole periods, each of about `period_s`, at rest after
+    `duration_s`.
     """
     return fourier_reference(
         robot, period_s=duration_s / max(1, round(duration_s / period_s)), seed=seed
@@ -142,12 +142,14 @@ def periodic_reference(
 def random_reference(
     robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int, period_s: float = PERIOD_S
 ) -> Array:
-    """A random exciting reference (N, n), rad or m: a Fourier series within the limits of the
-    robot, at rest at both ends.
+    """Return a random exciting reference (N, n), rad or m, at rest at both ends.
 
-    The same seed gives the same reference. The length is a whole number of periods of
-    about `period_s`, one if it is shorter. Raises `BadInputError` for fewer than 100 samples,
-    and for more than a day of them.
+    It is a Fourier series within the limits of the robot. The same seed gives the same reference.
+    The length is a whole number of periods of about `period_s`, one if it is shorter.
+
+    Raises
+    ------
+    BadInputError : the reference has fewer than 100 samples, or more than a day of them.
     """
     samples = duration_s * sample_rate_hz
     Location("").require(
@@ -170,12 +172,15 @@ def closed_loop(
     seed: int,
     payload: Payload | None = None,
 ) -> Signals:
-    """Signals of the robot of `[parameters]`, simulated with a payload along the reference
-    q_ref (N, n), rad or m.
+    """Simulate the robot of `[parameters]` with a payload along the reference q_ref (N, n), rad or
+    m.
 
     `sample_rate_hz` is that of reference, recording and controller, which sees the noise of the
-    encoder. Raises `BadInputError` if the description has no values or another rate, or the
-    robot does not follow.
+    encoder. The signals are returned.
+
+    Raises
+    ------
+    BadInputError : the description has no values or another rate, or the robot does not follow.
     """
     model, loop = true_model(robot, payload), described_law(robot)
     if loop is None:
@@ -222,7 +227,7 @@ def closed_loop(
 
 
 def _spans(q: Array, rate_hz: float) -> Iterator[tuple[slice, Array, Array]]:
-    """Rows, speeds and accelerations of the spans of a motion q (N, n)."""
+    """Yield rows, speeds and accelerations of parts of a motion q (N, n)."""
     for first in range(0, len(q), BLOCK_ROWS):
         rows, before = slice(first, min(first + BLOCK_ROWS, len(q))), min(first, 2)
         dq = differentiate(q[first - before : rows.stop + 2], rate_hz)
@@ -231,8 +236,9 @@ def _spans(q: Array, rate_hz: float) -> Iterator[tuple[slice, Array, Array]]:
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
-    """Write simulated signals of a `source` as a recording, whole or not at all; `noise`: of the
-    simulation, for metadata.
+    """Write simulated signals of a `source` as a recording, completely or not at all.
+
+    `noise`: that of the simulation, for metadata.
     """
     provenance, notes = "simulated joint torque", {"simulated": "true"}
     if noise is not None:
@@ -271,12 +277,15 @@ def record_simulated_session(
     payload: Payload | None = None,
     described: Robot | None = None,
 ) -> None:
-    """Record a session: simulated drives track a random exciting reference with the
-    robot of `[parameters]`.
+    """Record a session in which simulated drives track a random exciting reference with the robot
+    of `[parameters]`.
 
     `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of
-    `robot`; the recording has `described`, by default the same. Raises `BadInputError`: a
-    description without `[bus]` or values, a failed session.
+    `robot`; the recording has `described`, by default the same.
+
+    Raises
+    ------
+    BadInputError : the description has no `[bus]` or values, or the session failed.
     """
     period_s = (
         Location(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
@@ -321,7 +330,7 @@ def record_simulated_session(
 
 
 def description(name: str) -> Path:
-    """The description of a robot of this project: `scara` or `tx40`."""
+    """Return the description of a robot of this project: `scara` or `tx40`."""
     installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
     return (
         installed
@@ -331,8 +340,10 @@ def description(name: str) -> Path:
 
 
 def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list[float]:
-    """Record sessions without and with the payload, of drives whose gains are not those described;
-    returns the true ones.
+    """Record sessions without and with the payload, of drives whose gains differ from those
+    described.
+
+    The true gains are returned.
     """
     described = CATALOGUE[: robot.n]
     true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]
@@ -344,7 +355,9 @@ def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list
 
 
 def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
-    """A robot of this project whose drives report their current, with these gains in N m/A."""
+    """Return a robot of this project whose drives report their current, with these gains in N
+    m/A.
+    """
     each = iter(gains)
     text = re.sub(
         "effort_unit = .*",

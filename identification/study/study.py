@@ -82,8 +82,8 @@ class RunFit:
         error: |beta - true| / |true| over all parameters.
         low, high: the 95 % intervals.
         verdict: of the fit's tests.
-        essential: whether the recording determines a parameter well.
-        positive: whether M of the estimate is positive along the motion.
+        essential: True if the recording determines a parameter well.
+        positive: True if M of the estimate is positive along the motion.
     """
 
     beta: Array
@@ -95,7 +95,9 @@ class RunFit:
     positive: bool
 
     def half_widths_off(self, true: Array) -> Array:
-        """(b,) distances of the true values from the middles of the intervals, in half-widths."""
+        """Return distances (b,) of the true values from the middles of the intervals, in half-
+        widths.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.low + self.high - 2 * true) / (self.high - self.low))
 
@@ -115,9 +117,11 @@ class Run:
 
 
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
-    """All runs in order; one that fails has a `reason`.
+    """Simulate and fit all runs in order; one that fails has a `reason`.
 
-    Raises `BadInputError`: the description has no values.
+    Raises
+    ------
+    BadInputError : the description has no values.
     """
     study_truth(robot)
     if robot.controller.structure is None:
@@ -127,8 +131,9 @@ def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
 
 @one_thread
 def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
-    """Run `number` of a study of the robot described by `files`: the same
-    number gives the same run.
+    """Simulate and fit run `number` of a study of the robot described by `files`.
+
+    The same number gives the same run.
     """
     robot, run = robot_from_files(files, "study"), Run(number=number)
     base, true = study_truth(robot)
@@ -164,13 +169,14 @@ class Summary:
     NaN if there are none.
 
     Attributes:
-        bias_percent: norm of the mean error over all parameters, in percent of the
-            norm of the true ones.
+        bias_percent: norm of the mean error over all parameters, in percent of the norm of the true
+            ones.
         coverage_percent: true values inside their 95 % intervals, over all parameters.
-        spread_over_interval: median over the parameters of 1.96 observed
-            deviations over the half-width.
+        spread_over_interval: median over the parameters of 1.96 observed standard deviations over
+            the
+            half-width.
         trusted, false_trust: runs with the verdict `trust`; those of them in which an essential
-            parameter is more than `FALSE_TRUST` half-widths off or M is not positive.
+            parameter is wrong by more than `FALSE_TRUST` half-widths or M is not positive.
     """
 
     method: str
@@ -183,7 +189,7 @@ class Summary:
 
 
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
-    """One summary per method; `true` (b,) are the values simulated with."""
+    """Return one summary per method; `true` (b,) are the values simulated with."""
     rows = []
     for method, kind in METHODS:
         fits = [
@@ -216,8 +222,8 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
 
 
 def false_trust(fit: RunFit, true: Array) -> bool:
-    """Whether the verdict is wrongly `trust`: an essential parameter is far
-    off, or M is not positive.
+    """Test whether the verdict is wrongly `trust`: an essential parameter is far off, or M is not
+    positive.
     """
     off = fit.half_widths_off(true)[fit.essential]
     return fit.verdict == "trust" and (not fit.positive or bool((off > FALSE_TRUST).any()))
@@ -226,8 +232,8 @@ def false_trust(fit: RunFit, true: Array) -> bool:
 def study_file(
     study: Study, runs: Sequence[Run], base: BaseParameters, true: Array
 ) -> dict[str, Any]:
-    """The JSON file of a study: settings, names of the parameters, their true values
-    (b,), summaries, every run.
+    """Make the JSON file of a study: settings, names of the parameters, their true values (b,),
+    summaries, every run.
     """
     return {
         "study": study,
@@ -239,7 +245,9 @@ def study_file(
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
-    """A study's summaries by method, its settings, and the runs with false trust."""
+    """Make the report of a study: summaries by method, its settings, and the runs with false
+    trust.
+    """
     table = Table(
         columns=columns("method", numbers=HEADINGS),
         rows=tuple(
@@ -267,8 +275,10 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
 
 
 def border_line(robot: Robot) -> tuple[str, ...]:
-    """What the study simulated without friction or rotor, which no real robot is;
-    nothing if all have values.
+    """Return a line on what the study simulated without friction or rotor, which no real robot
+    lacks.
+
+    The line is empty if all have values.
     """
     model = InverseModel(robot)
     names = [
@@ -283,8 +293,9 @@ def border_line(robot: Robot) -> tuple[str, ...]:
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
-    """The JSON file of base parameters, whose names end with a joint's number from 1, with the
-    `true` values (b,) if known.
+    """Make the JSON file of base parameters, with the `true` values (b,) if known.
+
+    Their names end with a joint's number from 1.
     """
     each = {
         "name": base.names,
@@ -302,8 +313,10 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
 
 
 def base_document(base: BaseParameters, robot: Robot) -> Document:
-    """The base parameters of a robot as sums of standard parameters, in short the regrouped
-    ones; its joints by number.
+    """Make the report of the base parameters as sums of standard parameters, in short the regrouped
+    ones.
+
+    Its joints are numbered.
     """
     table = Table(
         columns=columns("name", "expression", "unit"),
@@ -325,8 +338,9 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
 
 
 def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Document:
-    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values
-    of a simulated recording.
+    """Make the report of estimates, half-widths of their 95 % intervals, and errors in these.
+
+    They stand next to the true values of a simulated recording.
     """
     halves, rows = [fit.intervals.half for fit in fits], list[Row]()
     for i, (name, x) in enumerate(zip(fits[0].base.names, true, strict=True)):
@@ -363,8 +377,9 @@ def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Documen
 
 
 def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
-    """Identified drive gains beside those described and the true ones, each with
-    its error in half-widths.
+    """Make the report of identified drive gains beside the described and the true ones.
+
+    Each has its error in half-widths.
     """
     off = [x.value - y for x, y in zip(fit.gains, true, strict=True)]
     within = sum(abs(x) <= one.half_width for x, one in zip(off, fit.gains, strict=True))

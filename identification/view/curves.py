@@ -43,11 +43,11 @@ LOOKS = {
 
 
 def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | None) -> Lines:
-    """Decimated curves of a recording; `settings` are those of the filter.
+    """Return decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in
-    place of raw derivatives. `simulated` is the robot with the estimate, if the fit simulated one.
-    Errors are positions minus the measured one.
+    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted time
+    range, in place of raw derivatives. `simulated` is the robot with the estimate, if the fit
+    simulated one. Errors are positions minus the measured one.
     """
     # the motion of the fit is filtered already
     filtered = (
@@ -78,7 +78,7 @@ def _lines(source: str, t_s: Array, series: Mapping[str, Array]) -> Lines:
 
 
 def _line(t_s: Array, x: Array) -> Line:
-    """A series (N,), decimated if it is long."""
+    """Return a series (N,), decimated if it is long."""
     k = extremes(x, bucket_size(len(x)))
     return t_s[k], x[k]
 
@@ -86,8 +86,8 @@ def _line(t_s: Array, x: Array) -> Line:
 def _decimate(
     signals: Signals, settings: Settings | None, motion: FilteredMotion
 ) -> dict[str, list[Line]]:
-    """Lines of the raw motion and torque, or of the filtered motion, for
-    each quantity and joint.
+    """Return lines of the raw motion and torque, or of the filtered motion, for each quantity and
+    joint.
     """
     start, stop, stride = (
         (0, len(signals.q), 1)
@@ -119,13 +119,14 @@ def _decimate(
 
 
 def bucket_size(N: int) -> int:
-    """Samples per bucket of a curve of N samples; 1 if all are drawn."""
+    """Return the samples per bucket of a curve of N samples; 1 if all are drawn."""
     return 1 if N <= 2 * BUCKETS else -(-N // BUCKETS)
 
 
 def model_stride(signals: Signals, settings: Settings) -> int:
-    """One of how many filtered samples is drawn: 1 for a short recording, else 20
-    remain per cut-off period.
+    """Return the number of filtered samples from one drawn to the next.
+
+    It is 1 for a short recording, else 20 remain per cut-off period.
     """
     return (
         1
@@ -135,7 +136,7 @@ def model_stride(signals: Signals, settings: Settings) -> int:
 
 
 def extremes(x: Array, step: int) -> Ints:
-    """Indices of the minimum and maximum of every `step` samples of x (N,)."""
+    """Return indices of the minimum and maximum of every `step` samples of x (N,)."""
     whole = len(x) // step * step
     buckets, first = x[:whole].reshape(-1, step), np.arange(0, whole, step)
     both = np.stack([first + buckets.argmin(axis=1), first + buckets.argmax(axis=1)], axis=1)
@@ -149,8 +150,10 @@ def extremes(x: Array, step: int) -> Ints:
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """Per joint the reference and simulated position minus the measured one, in a readable
-    unit; the position without.
+    """Plot per joint the reference and simulated position minus the measured one, in a readable
+    unit.
+
+    Without these the position is plotted.
     """
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
@@ -178,7 +181,7 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
 
 
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
-    """Position, speed and acceleration of joint j; no position if the first page has it."""
+    """Plot position, speed and acceleration of joint j; no position if the first view has it."""
     return [
         plot(signals, lines, quantity, j, alone=True)
         for quantity in (("q",) if any(quantity == "error" for _, quantity in lines) else ())
@@ -187,8 +190,8 @@ def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
 
 
 def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
-    """What is known of a quantity of joint j; of over three joints side by side
-    the first has the legend.
+    """Plot what is known of a quantity of joint j; of more than three joints side by side the first
+    has the legend.
     """
     joint, unit = signals.robot.joints[j], signals.robot.joints[j].position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
@@ -212,8 +215,8 @@ def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool =
 
 
 def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
-    """Per joint measured and modelled torque of decimated rows with their residual,
-    and the residual alone.
+    """Plot per joint measured and predicted torque of decimated rows with their residual, and the
+    residual alone.
     """
     robot, tau, tau_predicted = one.signals.robot, one.tau, one.tau_predicted
     torques, residuals = [], []
@@ -239,8 +242,8 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
 
 
 def column_plots(signals: Signals) -> list[Plot]:
-    """Other recorded columns: a plot per quantity with a curve per joint, of
-    feed-forward per motor.
+    """Plot other recorded columns: a plot per quantity with a curve per joint, of feedforward per
+    motor.
     """
     robot, plots = signals.robot, []
     of_joints, of_motors = (
@@ -274,7 +277,9 @@ def column_plots(signals: Signals) -> list[Plot]:
 
 
 def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tuple[Curve, ...]]:
-    """A curve per line, and for the title their unit; different units stand in their names."""
+    """Return a curve per line, and for the title their unit; different units stand in their
+    names.
+    """
     one = len(set(units)) == 1
     return f" [{units[0]}]" if one else "", tuple(
         Curve(
@@ -288,8 +293,8 @@ def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tup
 
 
 def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
-    """For each joint: position, speed and, if known, torque over one period, with
-    their limits; by quantity.
+    """Plot for each joint position, speed and, if known, torque over one period, with their limits;
+    by quantity.
     """
     robot, limits = excitation.robot, excitation.limits.effort
     t_s, q, dq, tau = excitation.curves()
@@ -327,6 +332,8 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
 
 
 def readable_unit(peak: float, unit: str) -> tuple[float, str]:
-    """Factor and unit in which values up to `peak` rad or m are readable: rad, mrad or µrad."""
+    """Return factor and unit in which values up to `peak` rad or m are readable: rad, mrad or
+    µrad.
+    """
     small = (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
     return (1.0, unit) if peak >= 1 or peak == 0 else small

@@ -45,12 +45,16 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(
     path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]
 ) -> None:
-    """Show the recording at `path` until it is whole, in a viewer on this
-    machine, or written to `out`.
+    """Show the recording at `path` until it is complete, in a viewer on this machine, or written to
+    `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each.
-    Raises `BadInputError` where the recording cannot be followed any more: it is gone,
-    replaced, cut, or not written.
+    `fit`: its JSON file, to show the residual torque too. `warn` gets warnings, one line each.
+
+    Raises
+    ------
+    BadInputError : the recording cannot be followed any more: it is gone, replaced, truncated, or
+        not
+        written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -97,8 +101,8 @@ def _open_viewer(recording: Any) -> None:
 
 
 class Residual:
-    """Measured minus modelled torque of the newest rows, both behind the filters of the errors of
-    a fit.
+    """Measured minus predicted torque of the newest rows, both after the filters of the errors of a
+    fit.
     """
 
     def __init__(self, stored: FitFile, place: str, robot: Robot) -> None:
@@ -159,8 +163,8 @@ class Residual:
 
 
 class LivePage:
-    """The page: state on top, then by joint following error, effort, position,
-    residual; then the events.
+    """The live view: state on top, then by joint following error, effort, position, residual; then
+    the events.
     """
 
     def __init__(self, recording: Any, robot: Robot, residual: Residual | None) -> None:
@@ -336,7 +340,7 @@ class LivePage:
             )
 
     def _show_state(self, problem: str, *, stalled: bool) -> None:
-        """The state, red where the file has stopped growing in the session."""
+        """Show the state, in red if the file has stopped growing in the session."""
         begin_ns, planned_s = self._left_from
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
         words = [
@@ -375,7 +379,7 @@ class LivePage:
 
 
 def _effort_levels(robot: Robot) -> list[Lines]:
-    """Rated efforts of each joint, with all its motors at theirs, and its effort limit."""
+    """Return rated efforts of each joint, with all its motors at theirs, and its effort limit."""
     assert robot.bus is not None
     motors = np.array(
         [

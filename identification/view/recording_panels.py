@@ -29,7 +29,7 @@ MAX_DOTS = 400  # of a friction chart
 
 
 def event_logs(signals: Signals) -> list[Log]:
-    """Events of the session, if there are any.
+    """Return events of the session, if there are any.
 
     Events outside of the samples are drawn at their ends.
     """
@@ -53,7 +53,7 @@ def event_logs(signals: Signals) -> list[Log]:
 
 
 def health_plots(signals: Signals) -> list[Plot]:
-    """The recorder's fault counters, if there was a fault; the title has the final counts."""
+    """Plot the recorder's fault counters, if there was a fault; the title has the final counts."""
     curves = list[Curve]()
     for name, (t_s, counts) in signals.health.items():
         known = np.isfinite(counts)
@@ -83,8 +83,8 @@ def health_plots(signals: Signals) -> list[Plot]:
 
 
 def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
-    """Spectra of position and effort of all joints over the span of the settings,
-    with cut-off frequencies.
+    """Chart spectra of position and effort of all joints over the time range of the settings, with
+    cut-off frequencies.
     """
     robot, fs, charts = signals.robot, signals.sample_rate_hz, []
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
@@ -126,8 +126,8 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
 
 
 def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged
-    in 40 bands per decade.
+    """Return frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged in 40
+    bands per decade.
     """
     length = int(min(len(x) // 2, 20 * sample_rate_hz))
     f, power = (
@@ -143,8 +143,9 @@ def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
 
 
 def _welch(x: Array, length: int, sample_rate_hz: float) -> Array:
-    """Power density of x (N,) as by `scipy.signal.welch`, whose import takes longer than all
-    pictures (Hann, lines removed).
+    """Return the power density of x (N,) as `scipy.signal.welch` does (Hann, lines removed).
+
+    The import of `scipy.signal` takes longer than all plots.
     """
     t, window = np.arange(length) - 0.5 * (length - 1), np.hanning(length + 1)[:-1]
     starts, power = range(0, len(x) - length + 1, length - length // 2), np.zeros(length // 2 + 1)
@@ -161,8 +162,8 @@ class _Friction:
 
     Attributes:
         model, columns: the robot, and the standard parameters of the fitted ones.
-        beta, covariance: (b,) and (b, b) of the fitted parameters, and `reach`: deviations in half
-            a 95 % interval.
+        beta, covariance: (b,) and (b, b) of the fitted parameters.
+        reach: standard errors in half a 95 % interval.
         share: (b,) of the recordings that have a parameter.
         rows: (3, K, n) speeds, sizes of the links' torques, and residual torques.
         own: (K, b) is 1 for the parameters that a row's recording has.
@@ -181,12 +182,12 @@ class _Friction:
 def friction_charts(
     fit: FitFile, recordings: Sequence[FitOnRecording], of: str = ""
 ) -> list[Graph]:
-    """Friction of each joint over its speed: rows as dots, the identified curve with its 95 %
-    interval; a color per load.
+    """Chart friction of each joint over its speed: rows as dots, the identified curve with its 95 %
+    interval.
 
-    Dots are the measured torque minus all other predicted torque, the offset too, in the rows of
-    all recordings; in the first rows of a long one. If recordings have parameters of their own,
-    dots use each recording's and curves their means.
+    There is a color per load. Dots are the measured torque minus all other predicted torque, the
+    offset too, in the rows of all recordings; in the first rows of a long one. With per-recording
+    parameters, dots use each recording's and curves their means.
     """
     problem, names = recordings[0].problem, [p.name for p in fit.parameters]
     has = np.array([[name in one.names for name in names] for one in recordings], dtype=float)
@@ -250,7 +251,9 @@ def _friction_chart(friction: _Friction, j: int, of: str) -> Graph:
 
 
 def _friction_curve(friction: _Friction, j: int, speed: Array, load: float) -> Line:
-    """Friction of joint j at speeds (k,) and a load, and half-widths of its 95 % interval."""
+    """Return friction of joint j at speeds (k,) and a load, and half-widths of its 95 %
+    interval.
+    """
     G = friction.share * friction_alone(
         friction.model, friction.columns, j, speed, np.full(len(speed), load)
     )

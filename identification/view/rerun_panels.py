@@ -28,10 +28,14 @@ ROBOT, MAX_COLUMNS = "robot", 3  # the group beside the others; plots side by si
 
 
 def write_rrd(path: Path, picture: Picture) -> None:
-    """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
+    """Write a result as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
     The viewer stores one layout per application: the digest of the report makes each file an
-    application of its own. Raises `BadInputError`: the file cannot be written.
+    application of its own.
+
+    Raises
+    ------
+    BadInputError : the file cannot be written.
     """
     # else Rerun warns
     named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)
@@ -71,7 +75,9 @@ def write_rrd(path: Path, picture: Picture) -> None:
 
 
 def _arrange(page: Page, views: Mapping[str, Sequence[Any]], text: Sequence[Any]) -> Any:
-    """A page: its groups below each other or in tabs, beside them the robot and the report."""
+    """Arrange a view: its groups below each other or in tabs, beside them the robot and the
+    report.
+    """
     main = {key: group for key, group in views.items() if group and key != ROBOT}
     columns = 1 if page.tabs else MAX_COLUMNS
     grids = [
@@ -129,8 +135,8 @@ def _show(recording: Any, panel: Panel) -> Any:
 
 
 def event_view(origin: str, title: str) -> Any:
-    """A view of texts that repeat their times: the viewer cuts those of its
-    column to four letters.
+    """Return a view of texts that repeat their times: the viewer cuts those of its column to four
+    letters.
     """
     return rrb.TextLogView(
         origin=origin,
@@ -143,8 +149,9 @@ def event_view(origin: str, title: str) -> Any:
 
 
 def shown_text(text: str) -> str:
-    """Text in the viewer's font, outside of which it stops with an error: similar
-    characters, else question marks.
+    """Return text in the viewer's font: similar characters, or question marks.
+
+    Outside of its font the viewer stops with an error.
     """
     return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
 
@@ -165,12 +172,12 @@ def _replace_glyph(c: str) -> str:
 
 
 def _time(t_s: Array) -> Any:
-    """Times on the timeline `time`."""
+    """Return times on the timeline `time`."""
     return rr.TimeColumn("time", duration=np.rint(1e9 * t_s).astype("timedelta64[ns]"))
 
 
 def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
-    """Robots drawn by the URDF, and the motion of their joints."""
+    """Show robots drawn by the URDF, and the motion of their joints."""
     for robot in scene.robots:
         tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
         tree.log_urdf_to_recording(recording)
@@ -202,7 +209,7 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
 
 
 def _urdf_tree(text: str, origin: str, key: str, *, ghost: bool) -> UrdfTree:
-    """The tree of a URDF with frames of its own for this robot; a ghost has one color."""
+    """Return the tree of a URDF with frames of its own for this robot; a ghost has one color."""
     root = ET.fromstring(text)
     root.set("name", key)  # entities are below origin/key, since the prefix is one part of a path
     for visual in root.iter("visual") if ghost else ():

@@ -27,7 +27,7 @@ MIN_VIEW_M = 0.7  # approximate size of the picture, since a single joint moves 
 
 
 def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
-    """The measured robot and, if the fit simulated it, the simulated one as a ghost."""
+    """Return the measured robot and, if the fit simulated it, the simulated one as a ghost."""
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [Moving(key="measured", t_s=signals.t_s[k], q=signals.q[k])]
@@ -46,7 +46,7 @@ def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
 
 
 def excitation_scene(excitation: Excitation) -> Scene:
-    """The robot along one period of a reference."""
+    """Return the robot along one period of a reference."""
     t_s, q, _, _ = excitation.curves()
     k = np.arange(0, len(q), pose_stride(len(q), 1 / (t_s[1] - t_s[0])))
     return _scene(
@@ -58,7 +58,7 @@ def excitation_scene(excitation: Excitation) -> Scene:
 
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
-    """Robots in a picture centred on the motion q (N, n)."""
+    """Return robots in a view centred on the motion q (N, n)."""
     against = -dynamics.robot.gravity
     up = against / np.linalg.norm(against) if against.any() else np.array([0.0, 0.0, 1.0])
     places, _ = dynamics.placements(q[:: max(1, len(q) // 100)])
@@ -82,13 +82,14 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
 
 
 def pose_stride(N: int, rate_hz: float) -> int:
-    """One of how many samples is drawn as a pose."""
+    """Return the number of samples from one drawn pose to the next."""
     return max(1, round(rate_hz / POSES_PER_S), -(-N // MAX_POSES))
 
 
 def _drawable(robot: Robot) -> str | None:
-    """The robot's URDF with files of its meshes, of the recording or by their names; None
-    without shapes or a mesh.
+    """Return the robot's URDF with files of its meshes, of the recording or by their names.
+
+    It is None without shapes or a mesh.
     """
     if robot.urdf is None:
         return None
