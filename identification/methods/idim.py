@@ -118,7 +118,9 @@ def _read(
 
 
 def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
-    """Return the default method and its reason: instruments if every recording has its reference."""
+    """Return the default method and its reason: instruments if every recording has its
+    reference.
+    """
     if model.exogenous:
         return "iv", "reference recorded"
     without = [problem.signals for problem in model.problems if problem.signals.q_ref is None]
