@@ -25,8 +25,10 @@ LISTEN_S = 0.5
 
 
 def listen_for_others(master: Master) -> RefusedError | None:
-    """Listen for half a second; the error for another master, else for a device that is not
-    described. Nothing is sent.
+    """Listen for half a second; return the error for another master, or for a device that is not
+    described.
+
+    Nothing is sent.
     """
     device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
     while master.link.now_ns() < until_ns:
@@ -59,9 +61,11 @@ def listen_for_others(master: Master) -> RefusedError | None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes in fault, found by reading only.
+    """Return the nodes in fault, found by reading only.
 
-    Raises `RefusedError`: a drive is enabled, or two are one node.
+    Raises
+    ------
+    RefusedError : a drive is enabled, or two are one node.
     """
     in_fault = []
     for drive in master.bus.drives:
@@ -89,9 +93,11 @@ Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Joint positions (n,) in rad or m, read by SDO.
+    """Return joint positions (n,) in rad or m, read by SDO.
 
-    Raises `RefusedError` where a drive does not answer.
+    Raises
+    ------
+    RefusedError : a drive does not answer.
     """
     return joints_of(
         robot,
@@ -104,7 +110,9 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
 
 def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
-    """Joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the drives."""
+    """Return joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the
+    drives.
+    """
     motors = [
         drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)
     ]
@@ -112,7 +120,7 @@ def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
 
 
 def position_words(robot: Robot, q: Array) -> list[str]:
-    """One text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
+    """Return one text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
     return [
         f"{joint.name} = {value:.5f} m"
         if joint.type == "prismatic"
@@ -122,8 +130,8 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def is_homed(master: Master, drive: Drive) -> bool | None:
-    """Whether the drive's object or bit named by `homed` is set; None where the
-    description names none.
+    """Test whether the drive's object or bit named by `homed` is set; None if the description names
+    none.
     """
     if drive.file.homed is None:
         return None
@@ -135,12 +143,18 @@ def is_homed(master: Master, drive: Drive) -> bool | None:
 def confirm_motion(
     robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False
 ) -> list[str]:
-    """Refuse drives that are not homed, then ask the operator about the measured joint
-    positions and drives in fault.
+    """Refuse drives that are not homed, then ask the operator about joint positions and drives in
+    fault.
 
-    With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one
-    for each joint and drive in fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no
-    answer, or not confirmed.
+    With `reset_faults` drives in fault are reset without asking.
+
+    Returns
+    -------
+    The confirmed texts, one for each joint and drive in fault: `joint_1 = 12.34 deg`.
+
+    Raises
+    ------
+    RefusedError : not homed, no answer, or not confirmed.
     """
     for drive in master.bus.drives:
         if is_homed(master, drive) is False:
@@ -173,8 +187,9 @@ def confirm_motion(
 
 
 def error_report(master: Master, drive: Drive) -> str:
-    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where
-    a drive has none of them.
+    """Return error register (1001h), last error (1003h:1) and error code (603Fh) in one line.
+
+    The line is empty if a drive has none of them.
     """
     values = []
     for index, sub, name in (
@@ -201,8 +216,8 @@ MAX_ENTRIES = 8  # of an array
 
 
 class Reading(NamedTuple):
-    """The value (or text) of an object, and what is wrong with the answer: none, an abort,
-    another size; else empty.
+    """The value (or text) of an object, and what is wrong with the answer: none, an abort, another
+    size; else empty.
     """
 
     value: int | None
@@ -215,10 +230,10 @@ Readings = dict[tuple[int, int], Reading]  # by index and sub-index
 
 
 class Uploads:
-    """A link that sends SDO read requests only, and from the first frame of another master or
-    error frame on nothing.
+    """A link that sends SDO read requests only.
 
-    `heard`: the services received, by node. `say` is called with the node of each request.
+    From the first frame of another master or error frame on it sends nothing. `heard`: the services
+    received, by node. `say` is called with the node of each request.
     """
 
     def __init__(
@@ -229,7 +244,7 @@ class Uploads:
         self._sent = self._next_ns = 0
 
     def now_ns(self) -> int:
-        """Time of the link."""
+        """Return the time of the link, ns."""
         return self._link.now_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -248,9 +263,11 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame.
+        """Return the next frame.
 
-        Raises `RefusedError` for one of another master, and for an error frame.
+        Raises
+        ------
+        RefusedError : the frame is of another master, or an error frame.
         """
         frame = None if self._received else self._link.receive(until_ns)
         return self._received.popleft() if self._received else frame and self._checked(frame)
@@ -310,9 +327,9 @@ def _read_node(
 
 
 def upload_segments(master: Master, node: int, index: int) -> cia.Transfer:
-    """The value whose upload has begun with an answer of kind `other`, or an abort.
+    """Return the value whose upload has begun with an answer of kind `other`, or an abort.
 
-    Raises as `Master.upload`.
+    It raises as `Master.upload`.
     """
     data = b""
     for k in range(64):  # 448 bytes

@@ -58,7 +58,9 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
     """Read what a recording needs of a drive, with `track` also what motion needs; nothing is
     written.
 
-    Raises `NoAnswerError` where the drive does not answer.
+    Raises
+    ------
+    NoAnswerError : the drive does not answer.
     """
     yield from _identity(master, drive)
     beat, every_ms = (cia.HEARTBEAT_TIME, 0), round(master.bus.file.heartbeat_s * 1000)
@@ -83,7 +85,9 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
 def read_needs(master: Master, *, track: bool) -> list[Need]:
     """Read the needs of all drives before a session.
 
-    Raises `RefusedError` with all that forbid it.
+    Raises
+    ------
+    RefusedError : with all that forbid it.
     """
     needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
     if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
@@ -93,10 +97,13 @@ def read_needs(master: Master, *, track: bool) -> list[Need]:
 
 
 def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str]:
-    """Set every drive to PRE-OPERATIONAL, and write what differs; a warning for each drive whose
-    heartbeat a recording does without.
+    """Set every drive to PRE-OPERATIONAL, and write what differs.
 
-    Raises `BusFaultError` where a drive refuses a write, or does not change its mode.
+    A warning is returned for each drive whose heartbeat a recording does without.
+
+    Raises
+    ------
+    BusFaultError : a drive refuses a write, or does not change its mode.
     """
     for drive in master.bus.drives:
         master.nmt(PRE_OPERATIONAL, drive.node)
@@ -166,8 +173,10 @@ def _need(
     *,
     track: bool = True,
 ) -> Need:
-    """A property that `writes` set: refused where an object is not there, cannot be read (unless it
-    is written), or is read-only by the dictionary.
+    """Return a property that `writes` set.
+
+    It is refused if an object is missing, cannot be read (unless it is written), or is read-only by
+    the dictionary.
     """
     keys = dict.fromkeys(write[:2] for write in writes)
     refused = [
@@ -193,7 +202,7 @@ def _need(
 def _values(
     drive: Drive, name: str, answers: Answers, wanted: dict[cia.Key, int], unit: str = ""
 ) -> Need:
-    """Objects that have to have the raw values `wanted` before motion."""
+    """Return objects that must have the raw values `wanted` before motion."""
     differ = {key: value for key, value in wanted.items() if answers[key] != value}
     return _need(
         drive,
@@ -205,7 +214,9 @@ def _values(
 
 
 def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
-    """A PDO: what is right of it is not written, because its mapping may be fixed."""
+    """Return the needs of a PDO: what is right of it is not written, because its mapping may be
+    fixed.
+    """
     communication, mapping = (first + pdo.number - 1 for first in cia.PARAMETERS[way])
     can_id, kind, count = (communication, 1), (communication, 2), (mapping, 0)
     answers = _ask(master, drive, can_id, kind, count)
@@ -232,8 +243,9 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
 
 
 def _interpolation(master: Master, drive: Drive) -> Need:
-    """The interpolation period: the SYNC period in any unit is right; a drive without the object
-    has that of its dictionary.
+    """Return the need of the interpolation period: the SYNC period in any unit is right.
+
+    A drive without the object has that of its dictionary.
     """
     index, period_s = cia.INTERPOLATION_PERIOD + axis_of(drive), master.bus.file.sync_period_s
     name, answers = f"interpolation period {index:04X}", _ask(master, drive, (index, 1), (index, 2))
@@ -255,7 +267,7 @@ def _interpolation(master: Master, drive: Drive) -> Need:
 
 
 def _identity(master: Master, drive: Drive) -> Iterator[Need]:
-    """The identity in the dictionary, and the rated values of robot.toml, which are only
+    """Return the identity in the dictionary, and the rated values of robot.toml, which are only
     compared.
     """
     identity = [] if drive.dictionary is None else drive.dictionary.identity
@@ -274,8 +286,10 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
 
 
 def _limits(master: Master, drive: Drive) -> Iterator[Need]:
-    """Position limits, motor speed and gear, where the drive states them, compared with the
-    limits of the joints times the ratio; and the ramp of its quick stop.
+    """Return position limits, motor speed and gear, if the drive reports them, and its quick stop
+    deceleration.
+
+    Limits are compared with those of the joints times the ratio.
     """
     axis, ratio = axis_of(drive), drive.motion.ratio or 0.0
     low, high, home, turns, shaft, rpm, unit = (

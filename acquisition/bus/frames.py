@@ -27,7 +27,7 @@ Tap = Callable[[Frame], None]
 
 
 def block_of(frames: Iterable[Frame]) -> Block:
-    """Rows of `FRAME`."""
+    """Return rows of `FRAME`."""
     return np.frombuffer(
         bytearray().join(
             ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames
@@ -37,7 +37,7 @@ def block_of(frames: Iterable[Frame]) -> Block:
 
 
 def frame_of(message: Any) -> Frame:
-    """A message of python-can as a frame."""
+    """Return a message of python-can as a frame."""
     extended = message.is_extended_id or message.arbitration_id > _MAX_BASE_ID
     return Frame(
         round(message.timestamp * 1e9),
@@ -61,7 +61,7 @@ _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
 def service_of(frame: Frame, sync_can_id: int) -> str:
-    """Service and node of a frame in words: `SYNC`, `NMT command`, `heartbeat of node 5`."""
+    """Return service and node of a frame in words: `SYNC`, `NMT command`, `heartbeat of node 5`."""
     if frame.flags & EXTENDED:
         return f"29-bit frame 0x{frame.can_id:08X}"
     remote = "remote request for " if frame.flags & REMOTE_REQUEST else ""
@@ -82,8 +82,9 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
 
 
 def command_ids(bus: Bus) -> set[int]:
-    """Identifiers of the frames by which a master commands the drives of `bus`: NMT, SDO
-    requests, PDOs to drives.
+    """Return identifiers of the frames by which a master commands the drives of `bus`.
+
+    These are NMT, SDO requests and PDOs to drives.
     """
     return {
         0,
@@ -93,7 +94,7 @@ def command_ids(bus: Bus) -> set[int]:
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
-    """The service in words if a frame shows another master on the bus, else None.
+    """Return the service in words if a frame shows another master on the bus, else None.
 
     Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat
     of `master_node` and, unless the description says that another device does, SYNC.
@@ -121,8 +122,10 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_node(frame: Frame, bus: Bus) -> int | None:
-    """Node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in
-    `other_nodes`, else None.
+    """Return the node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in
+    `other_nodes`.
+
+    It is None for any other frame.
     """
     node, known = (
         frame.can_id & 0x7F,

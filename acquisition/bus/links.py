@@ -44,7 +44,7 @@ def stay_on_loopback(bus: Any, file: BusFile) -> None:
 
 
 def socket_of(bus: Any) -> socket.socket | None:
-    """The socket under a bus, where there is one."""
+    """Return the socket under a bus, None without one."""
     found = getattr(bus, "socket", None) or getattr(
         getattr(bus, "_multicast", None), "_socket", None
     )
@@ -60,12 +60,14 @@ def request_queue_size(sock: socket.socket) -> None:
 
 
 def queue_bytes(sock: socket.socket) -> int:
-    """Granted size of the kernel's receive queue."""
+    """Return the granted size of the kernel's receive queue."""
     return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
 
 def kernel_drops(sock: socket.socket | None) -> int:
-    """Frames that the kernel dropped because the queue was full; 0 without a socket."""
+    """Return the number of frames that the kernel dropped because the queue was full; 0 without a
+    socket.
+    """
     if sock is None:
         return 0
     try:
@@ -103,8 +105,8 @@ LISTEN_ONLY: dict[str, dict[str, Any]] = {
 
 
 def listening_words(file: BusFile) -> str:
-    """Whether a passive recording acknowledges the frames of others, and what follows;
-    empty without hardware.
+    """Say whether a passive recording acknowledges the frames of others, and what follows; empty
+    without hardware.
     """
     listens, verb, way_out = (
         file.interface in LISTEN_ONLY,
@@ -157,13 +159,13 @@ def refuse_unconfirmed(bus: Any, place: str) -> None:
 
 
 def is_group(bus: Any) -> bool:
-    """Whether a bus is a multicast group, which returns every frame sent."""
+    """Test whether a bus is a multicast group, which returns every frame sent."""
     return getattr(bus, "_multicast", None) is not None
 
 
 def is_no_frame(bus: Any, error: Exception) -> bool:
-    """Whether a read error is due to a datagram that is no frame, which any
-    program may send to a group.
+    """Test whether a read error is due to a datagram that is not a frame, which any program may
+    send to a group.
     """
     import can
 
@@ -175,7 +177,7 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """The python-can bus of a description.
+    """Open the python-can bus of a description.
 
     A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens.
     """
@@ -236,18 +238,20 @@ ECHOING = ("gs_usb", "cantact")
 
 
 class MasterLink(Protocol):
-    """What a master needs of a link: its time, sending and receiving."""
+    """A link for a master: its time, sending and receiving."""
 
     def now_ns(self) -> int:
-        """Time of this link, of events and deadlines."""
+        """Return the time of this link, of events and deadlines, ns."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `BusFaultError` where that fails."""
+        """Send a frame; raise `BusFaultError` if that fails."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`.
+        """Return the next frame, None if there is none until `until_ns`.
 
-        Raises `BusFaultError` when the bus fails.
+        Raises
+        ------
+        BusFaultError : the bus fails.
         """
 
 
@@ -266,15 +270,18 @@ class Link:
         self._own = deque[tuple[int, bytes]](maxlen=1000 if echoes else 0)
 
     def now_ns(self) -> int:
-        """Time of this link, of events and deadlines: the wall clock's at opening, continued
-        by the monotonic clock.
+        """Return the time of this link, of events and deadlines, ns.
+
+        It is the wall clock's at opening, continued by the monotonic clock.
         """
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame.
 
-        Raises `RobotIdimError` where the link is passive or the bus does not take it.
+        Raises
+        ------
+        RobotIdimError : the link is passive, or the bus does not take it.
         """
         import can
 
@@ -290,13 +297,15 @@ class Link:
         self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`."""
+        """Return the next frame, None if there is none until `until_ns`."""
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`.
+        """Return the next frame, None if there is none within `timeout_s`.
 
-        Raises `BusFaultError` when the bus fails.
+        Raises
+        ------
+        BusFaultError : the bus fails.
         """
         import can
 
@@ -332,5 +341,5 @@ class Link:
 
 
 def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:
-    """A link in real time."""
+    """Open a link in real time."""
     return Link(open_bus(file, passive=passive), tap=tap)

@@ -58,13 +58,21 @@ _OTHERS = (
 def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     """Read a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
 
-    First, by interface as the file names or numbers it, the (m,) rows of `FRAME` in the order of
-    the file, on disk if they are large; second, the number of frames or lines that are left out,
-    by what they are.
+    Returns
+    -------
+    By interface as the file names or numbers it, the (m,) rows of `FRAME` in the order of the file,
+    on
+    disk if they are large; and the number of frames or lines that are left out, by kind. Left out
+    are
+    frames of CAN FD, which CANopen does not use, requests to send, which are no frames on the bus,
+    and
+    a truncated line.
 
-    Left out are frames of CAN FD, which CANopen does not use, requests to send, which are no frames
-    on the bus, and a line that is cut. Raises `BadInputError` with file and frame or line (from 1):
-    the log cannot be read or is damaged, or no recording holds a time, an identifier or the data.
+    Raises
+    ------
+    BadInputError : with file and frame or line (from 1): the log cannot be read or is damaged, or
+        no
+        recording can hold a time, an identifier or the data.
     """
     if path.suffix.lower() not in SUFFIXES:
         Location(str(path)).refuse(
@@ -97,8 +105,9 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
 
 
 def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
-    """Interface and frame of each line; a power cut leaves a last line without its end, whose bytes
-    may be cut too, or zeros.
+    """Yield interface and frame of each line.
+
+    A power cut leaves a last line without its end, whose bytes may be cut too, or zeros.
     """
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
@@ -127,7 +136,7 @@ def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fra
 
 
 def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
-    """Interface and frame of each message of python-can's readers."""
+    """Yield interface and frame of each message of python-can's readers."""
     import can
 
     count, suffix, logger = 0, path.suffix.lower(), logging.getLogger("can.io.trc")
@@ -162,8 +171,9 @@ def _refuse_skipped(record: logging.LogRecord) -> bool:
 
 
 def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
-    """Lines of an ASC or a TRC, which python-can's readers take as they take a file: with absolute
-    times, without requests to send and a last line that is cut, which are counted.
+    """Yield lines of an ASC or a TRC, which python-can's readers take as they take a file.
+
+    Times are absolute; requests to send and a truncated last line are left out and counted.
     """
     relative, time_s = False, 0.0
     # Heads have dates and names in the encoding of their machine; all that is used is ASCII.

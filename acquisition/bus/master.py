@@ -47,7 +47,7 @@ class NodeWatch:
 
 
 class Master:
-    """Sends requests and stores the last values received.
+    """A master that sends requests and stores the last values received.
 
     Every frame received goes through `dispatch`.
     """
@@ -195,7 +195,9 @@ class Master:
             watch.heard_ns = self.link.now_ns()
 
     def state(self, drive: Drive) -> cia.State:
-        """State of a drive, read by SDO (6041h). Raises `BusFaultError` when it does not answer."""
+        """Return the state of a drive, read by SDO (6041h); raise `BusFaultError` if it does not
+        answer.
+        """
         return cia.state_of(self.read(drive.node, *drive.status.key))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
@@ -242,7 +244,7 @@ class Master:
         self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
-        """The answer to a request sent by `post`, once; None until it has arrived."""
+        """Return the answer to a request sent by `post`, once; None until it has arrived."""
         answer = self._answers.pop(node, None)
         if answer is None or len(answer) != 8:
             return None
@@ -251,7 +253,9 @@ class Master:
         return answer if answer[1:4] == request[1:4] else None
 
     def exchange(self, node: int, request: bytes, place: str) -> bytes:
-        """The answer to an SDO request. Raises `NoAnswerError` with `place` when there is none."""
+        """Send an SDO request and return its answer; raise `NoAnswerError` with `place` without
+        one.
+        """
         self.post(node, request)
         until_ns = self.link.now_ns()
         for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):

@@ -23,7 +23,7 @@ _TIMESPEC_BYTES = 16
 
 
 class Receiver:
-    """Receives frames by `run` in one thread; `take` returns them in another."""
+    """A receiver of frames by `run` in one thread; `take` returns them in another."""
 
     DRAIN_S = 2.0  # at most, to read the kernel's queue when a recording ends
 
@@ -78,7 +78,7 @@ class Receiver:
                 return
 
     def take(self) -> Block:
-        """Frames received since the last call, in order."""
+        """Return frames received since the last call, in order."""
         items = [self._items.popleft() for _ in range(len(self._items))]
         if not items:
             return np.zeros(0, FRAME)
@@ -114,7 +114,9 @@ _MAX_BLOCKS_WAITED = 2  # for the stamps to jump
 
 
 class WallClock:
-    """Detects steps of the wall clock by the monotonic clock, and continues stamps without them."""
+    """A wall clock whose steps are detected by the monotonic clock; it continues timestamps without
+    them.
+    """
 
     def __init__(
         self,
@@ -132,11 +134,13 @@ class WallClock:
         self.shift_ns = 0  # sum of the steps removed from stamps
 
     def now_ns(self) -> int:
-        """Time without the steps of the wall clock."""
+        """Return the time without the steps of the wall clock, ns."""
         return self._begin_ns + self._monotonic_ns()
 
     def step_ns(self) -> int:
-        """Step of the wall clock since the last call, positive forward; 0 where it was not set."""
+        """Return the step of the wall clock since the last call, positive forward; 0 if it was not
+        set.
+        """
         for _ in range(_READINGS):
             before = self._monotonic_ns()
             offset = self._wall_ns() - before
@@ -151,8 +155,9 @@ class WallClock:
         return step
 
     def continued(self, stamps: Ints) -> Ints:
-        """Stamps of the next block of frames without the steps that `step_ns` found: each begins
-        where the stamps jump.
+        """Return timestamps of the next block of frames without the steps that `step_ns` found.
+
+        Each step begins where the timestamps jump.
         """
         if not len(stamps):
             return stamps
@@ -172,7 +177,7 @@ class WallClock:
 
 
 def describe_step(step_ns: int) -> str:
-    """For the events of a recording."""
+    """Describe a step of the clock for the events of a recording."""
     return (
         f"the clock was set {'forward' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"
     )

@@ -74,8 +74,8 @@ class _Stopping:
                 self.speed_then = _speed(self.seen)
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether to switch voltage off: standstill, the speed does not fall, or
-        the time to stop is over.
+        """Test whether to switch voltage off: standstill, the speed does not fall, or the time to
+        stop is over.
         """
         elapsed_s, then, drive = (now_ns - self.since_ns) * 1e-9, self.speed_then, self.watch.drive
         # A drive that sends no positions any more is switched off by time alone.
@@ -98,12 +98,12 @@ class _Stopping:
 
     @property
     def ramp(self) -> float | None:
-        """Counts/s², None where it is unknown."""
+        """Quick stop deceleration, counts/s², None if unknown."""
         return quick_stop_ramp(self.watch.ramp_objects, self.watch.drive.position_codec)
 
     @property
     def longest_s(self) -> float:
-        """Time to stop from the speed at the start (unknown: the speed limit) by the ramp,
+        """Time to stop from the speed at the start (unknown: the speed limit) by the deceleration,
         with a margin, and CAP_S.
         """
         drive = self.watch.drive
@@ -119,14 +119,14 @@ def _speed(seen: list[tuple[int, int]]) -> float:
 def safe_stop(
     master: Master, held: HeldBack, *, after_sync: Callable[[], object] = lambda: None
 ) -> list[int]:
-    """Stop and disable every drive of `master`; returns the node ids of those that did not confirm.
+    """Stop and disable every drive of `master`; return the node ids of those that did not confirm.
 
     All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC
     continues. Voltage is switched off for each drive at its measured standstill, where its speed
-    rises or holds for 50 ms, and at the latest 0.5 s after 1.2 times the time that its ramp takes
-    (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword (6041h)
-    is read for up to a second, until it shows switch on disabled or fault (CiA 402). A node that
-    is in NMT stopped takes neither PDO nor SDO: it is set to PRE-OPERATIONAL first (CiA 301, NMT).
+    rises or holds for 50 ms, and at the latest 0.5 s after 1.2 times the time that its deceleration
+    takes (it is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword (6041h)
+    is read for up to a second, until it shows switch on disabled or fault (CiA 402). A node that is
+    in NMT stopped takes neither PDO nor SDO: it is set to PRE-OPERATIONAL first (CiA 301, NMT).
     `after_sync` is called after every SYNC. Whatever is raised, by `after_sync` too, is left to
     `held`.
     """
@@ -169,8 +169,8 @@ def safe_stop(
 
 
 def stop_drives(bus: Bus) -> list[int]:
-    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not
-    confirm to be disabled.
+    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; return the node ids of the drives that did
+    not confirm.
 
     An interrupt (Ctrl-C) is raised afterwards, unless the result is not what it has to be.
     """
@@ -187,7 +187,7 @@ def stop_drives(bus: Bus) -> list[int]:
 
 
 def not_disabled(nodes: Iterable[int]) -> str:
-    """The message that is shown first where drives did not confirm."""
+    """Return the message that is shown first if drives did not confirm."""
     return f"NOT DISABLED: nodes {', '.join(map(str, nodes))}: EMERGENCY STOP"
 
 
@@ -263,8 +263,8 @@ def _collect(master: Master, one: _Stopping) -> None:
 
 
 def _sync(master: Master, next_ns: int, held: HeldBack) -> int:
-    """Send SYNC, or await that of the other producer, and take the answers; the time at
-    which the next one is due.
+    """Send SYNC, or await that of the other producer, and take the answers; return when the next
+    one is due.
     """
     link, period_ns = master.link, master.bus.period_ns
     with held:

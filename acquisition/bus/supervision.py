@@ -17,8 +17,9 @@ HEARTBEATS_PER_TIMEOUT = 3
 
 
 def timeout_ms(file: BusFile) -> int:
-    """Time without a heartbeat after which a drive reacts: three heartbeat intervals or SYNC
-    periods, whichever is longer.
+    """Return the time without a heartbeat after which a drive reacts, ms.
+
+    It is three heartbeat intervals or SYNC periods, whichever is longer.
     """
     return math.ceil(
         round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6)
@@ -26,14 +27,14 @@ def timeout_ms(file: BusFile) -> int:
 
 
 def entry_of(file: BusFile) -> int:
-    """The value (U32) that this master writes to a sub-index of 1016h: node id
-    << 16 | time-out in ms.
+    """Return the value (U32) that this master writes to a sub-index of 1016h: node id << 16 |
+    timeout in ms.
     """
     return file.master_node << 16 | timeout_ms(file)
 
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
-    """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
+    """Return entries of a drive's 1016h, from sub-index 1; raise `BusFaultError` if it has none."""
     return [
         master.read(node, cia.CONSUMER_HEARTBEAT, k + 1)
         for k in range(master.read(node, cia.CONSUMER_HEARTBEAT, 0))
@@ -41,8 +42,10 @@ def heartbeat_consumers(master: Master, node: int) -> list[int]:
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
-    """Sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no node id);
-    None where there is none.
+    """Return the sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no
+    node id).
+
+    It is None if there is none.
     """
     own = [k for k, entry in enumerate(entries, 1) if entry >> 16 == master_node]
     unused = [
@@ -52,8 +55,8 @@ def free_entry(entries: list[int], master_node: int) -> int | None:
 
 
 class MasterHeartbeat:
-    """Produces the heartbeat; call `request` before the first SYNC, and `release`
-    once drives are disabled.
+    """The heartbeat of this master; call `request` before the first SYNC, and `release` once drives
+    are disabled.
     """
 
     def __init__(self, master: Master) -> None:
@@ -66,8 +69,9 @@ class MasterHeartbeat:
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to 1016h of every drive, and start the heartbeat; a line for each
-        drive without supervision.
+        """Write this master to 1016h of every drive, and start the heartbeat.
+
+        A line is returned for each drive without monitoring.
         """
         refused = []
         for drive in self._master.bus.drives:
@@ -91,8 +95,9 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop;
-        a line for each refusal.
+        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop.
+
+        A line is returned for each refusal.
         """
         refused = []
         for node in disabled:
@@ -150,10 +155,10 @@ Property = tuple[str, str]  # of a drive: name, value in words
 
 
 def supervision_of(master: Master, drive: Drive) -> list[Property]:
-    """Each supervision object of a drive in words: loss of the master, stops, following error.
+    """Describe each monitoring function of a drive: loss of the master, stops, following error.
 
-    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object
-    that the drive does not have is reported as not there; nothing is raised.
+    They are read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An
+    object that the drive does not have is reported as missing; nothing is raised.
     """
     behaviour, timer = (
         read_if_there(master, drive, ERROR_BEHAVIOUR, 1),
@@ -180,8 +185,10 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
 
 
 def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
-    """The quick-stop ramp in words, and the ramp that `--track` requires where it is too
-    slow, else an empty text.
+    """Return the quick stop deceleration in words, and the one that `--track` requires if it is too
+    slow.
+
+    The latter is empty otherwise.
     """
     watch = master.by_node[drive.node]
     for index in cia.RAMP_OBJECTS:
@@ -204,8 +211,9 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
-    """The supervision that a drive lacks, empty where none: after a power cut of this computer
-    nothing would stop it.
+    """Return the monitoring function that a drive lacks, empty for none.
+
+    After a power cut of this computer nothing would stop such a drive.
     """
     reaction, window = (
         index + axis_of(drive) for index in (cia.ABORT_CONNECTION, cia.FOLLOWING_ERROR_WINDOW)
@@ -239,8 +247,8 @@ def refuse_unsupervised(master: Master) -> None:
 
 
 def second_stop(file: BusFile) -> str:
-    """Whether the recorder's process can stop the drives when the session's
-    process dies or hangs.
+    """Test whether the recorder's process can stop the drives when the session's process dies or
+    hangs.
     """
     return (
         "the recorder's process stops the drives of a tracking session that dies or hangs"
@@ -269,7 +277,7 @@ def _consumers(master: Master, drive: Drive) -> Property:
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
-    """An option code in words; the CiA 402 objects of each further axis are 800h higher."""
+    """Return an option code in words; the CiA 402 objects of each further axis are 800h higher."""
     raw, name = (
         read_if_there(master, drive, index + axis_of(drive)),
         f"{name} {index + axis_of(drive):04X}",

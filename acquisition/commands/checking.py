@@ -55,7 +55,7 @@ NO_ANSWER = "no drive answers; without hardware: `robot-acquire record --dry-run
 
 @dataclass(frozen=True)
 class Finding:
-    """One property of the bus or of a drive, its value, and whether a session may start with it."""
+    """One property of the bus or of a drive, its value, and a flag: a session may start with it."""
 
     subject: str
     found: str
@@ -100,7 +100,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
 
 
 def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
-    """What robot.toml lacks for a session that sends, or for motion."""
+    """Yield what robot.toml lacks for a session that sends, or for motion."""
     if lines := lines_to_fill_in(robot):
         yield Finding(
             FILL_IN,
@@ -119,7 +119,9 @@ def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
 
 
 def table(findings: list[Finding]) -> list[str]:
-    """One line per finding, shared by drives with the same one: mark, property, nodes, value."""
+    """Return one line per finding, shared by drives with the same one: mark, property, nodes,
+    value.
+    """
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
         key = (finding.subject, one_line(finding.found), finding.ok)
@@ -167,8 +169,9 @@ def refusal(findings: list[Finding]) -> str:
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
-    """Findings about the drives and SYNC over an open link; nothing is sent if
-    another node is heard first.
+    """Return findings about the drives and SYNC over an open link.
+
+    Nothing is sent if another node is heard first.
     """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
@@ -188,7 +191,7 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
 
 
 def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
-    """Findings about a drive; only its state if it does not answer."""
+    """Yield findings about a drive; only its state if it does not answer."""
     node = drive.node
     try:
         state = master.state(drive)
@@ -229,8 +232,9 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
 
 
 def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
-    """The drive's objects of position units, and the units of the description, as a property;
-    manufacturers combine them differently.
+    """Return the drive's objects of position units and the units of the description, as a property.
+
+    Manufacturers combine them differently.
     """
     values = []
     for index, name in SCALES.items():
@@ -254,7 +258,7 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
 
 
 def _jitter(master: Master) -> Finding:
-    """The jitter of SYNC, as sent by this program or as received."""
+    """Return the jitter of SYNC, as sent by this program or as received."""
     try:
         jitter = sync_jitter(master)
     except BusFaultError as error:
@@ -270,7 +274,7 @@ def _jitter(master: Master) -> Finding:
 
 
 def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
-    """Reported joint positions, and whether the drives are homed."""
+    """Yield the reported joint positions, and whether the drives are homed."""
     try:
         words = ", ".join(position_words(robot, joint_positions(robot, master)))
         yield Finding("joint positions", f"{words}: check that the robot stands there")

@@ -76,7 +76,7 @@ class Program:
     gone: Mapping[str, str]
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
-        """The parser of all commands; only those `chosen` have their options, and `run`."""
+        """Return the parser of all commands; only those `chosen` have their options, and `run`."""
         parser = _Parser(
             prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False
         )
@@ -142,7 +142,7 @@ class Program:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Refuses wrong usage in one line, with the nearest option, command or choice."""
+    """A parser that refuses wrong usage in one line, with the nearest option, command or choice."""
 
     def error(self, message: str) -> NoReturn:
         """Print the line, and exit with status 2."""
@@ -177,7 +177,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Versions(argparse.Action):
-    """Print versions, one per line, and exit."""
+    """An action that prints versions, one per line, and exits."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import PackageNotFoundError, version
@@ -235,8 +235,9 @@ def _default_text(default: Any) -> str:
 
 
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
-    """A dataclass from the options named like its fields, and `others`; None
-    leaves the field's default.
+    """Make a dataclass from the options named like its fields, and `others`.
+
+    None leaves the field's default.
     """
     given = {field.name: getattr(options, field.name, None) for field in fields(kind)}
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
@@ -366,8 +367,8 @@ def _refuse(err: _Stream, program: str, text: str, status: int) -> int:
 
 @contextmanager
 def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
-    """Standard output and error, guarded inside the block; output to a closed
-    stream (`>&-`) is discarded.
+    """Guard standard output and error inside the block; discard output to a closed stream
+    (`>&-`).
     """
     for descriptor in range(3):
         try:

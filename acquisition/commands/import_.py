@@ -182,8 +182,8 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
 
 
 def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
-    """Use the map of one table, after it was proposed if there is none; whether
-    the user has to go on.
+    """Use the map of one table, after proposing it if there is none; return whether the user has to
+    go on.
     """
     from ..files import write_text
     from ..importing import TORQUE_SENSORS, is_log, lines_to_fill_in, propose_map

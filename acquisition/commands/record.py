@@ -179,7 +179,7 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
-    """Rate, losses (true if there are any), range of each joint so far, time left."""
+    """Return rate, losses (true if there are any), range of each joint so far, and time left."""
     losses = {"dropped": status.drops, **{k: status.losses[k] for k in ("missing", "late")}}
     return [
         (f"{status.rate_hz:.0f} frames/s", False),
@@ -251,7 +251,9 @@ class Notes:
                 termios.tcsetattr(STDIN, termios.TCSANOW, self._modes)
 
     def _in_foreground(self) -> bool:
-        """Whether this process may use its terminal; in the background the system would halt it."""
+        """Test whether this process may use its terminal; in the background the system would halt
+        it.
+        """
         return os.tcgetpgrp(STDIN) == os.getpgrp()
 
     def _await_key(self, awaited: bool) -> None:

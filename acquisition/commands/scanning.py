@@ -51,13 +51,15 @@ _HEXADECIMAL = (0x1000, 0x1016, 0x1018, 0x6041, 0x6065, 0x6502)
 
 
 def is_drive(readings: Readings) -> bool:
-    """Whether 1000h names CiA 402, or there are a statusword and a position all the same."""
+    """Test whether 1000h names CiA 402, or there are a statusword and a position all the same."""
     device, *both = (readings[index, 0].value for index in (0x1000, 0x6041, 0x6064))
     return (device or 0) & 0xFFFF == 402 or None not in both
 
 
 def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) -> list[Finding]:
-    """Rows of the drives, of devices that are no drives, and of nodes that are only heard."""
+    """Return rows of the drives, of devices that are not drives, and of nodes that are only
+    heard.
+    """
     rows = []
     for node, readings in nodes.items():
         others = {"no drive": GROUPS["drive"], "name, versions": TEXTS}
@@ -123,7 +125,7 @@ def _pdos(readings: Readings) -> Iterator[str]:
 def bus_lines(
     file: BusFile, nodes: Mapping[int, Readings], heard: Collection[int] = ()
 ) -> Iterator[str]:
-    """`[bus]` with a block for each drive; lines with `FILL_IN` need the engineer.
+    """Return `[bus]` with a block for each drive; lines with `FILL_IN` need the engineer.
 
     No node of `heard` is the master's.
     """

@@ -47,7 +47,7 @@ class ObjectDictionary:
 
     @property
     def identity(self) -> list[tuple[int, str, int]]:
-        """Vendor and product, if stated in 1018h or [DeviceInfo]: sub-index, name, number."""
+        """Vendor and product, if given in 1018h or [DeviceInfo]: sub-index, name, number."""
         return [
             (sub, name, number)
             for sub, name, stated in ((1, "vendor", self.vendor), (2, "product", self.product))
@@ -122,11 +122,11 @@ class _File:
         self.sections = {name: dict(self._parser[name]) for name in self._parser.sections()}
 
     def contents(self) -> Iterator[tuple[Key, Lines, str, str]]:
-        """The lines that describe each entry, and the section and the key of its value; those of
-        sub-indices come after their object, in whose lines nothing may stand.
+        """Return the lines that describe each entry, and the section and the key of its value.
 
-        Compact storage (CiA 306: CompactSubObj) is written out: all sub-indices have the lines of
-        their object, and the values of a section such as [1A00Value].
+        Those of sub-indices come after their object, in whose lines nothing may stand. Compact
+        storage (CiA 306: CompactSubObj) is written out: all sub-indices have the lines of their
+        object, and the values of a section such as [1A00Value].
         """
         for name in sorted(filter(_ENTRY.fullmatch, self.sections)):
             lines, index, sub = self.sections[name], int(name[:4], 16), int(name[7:] or "0", 16)
@@ -142,7 +142,7 @@ class _File:
                 yield (index, sub), lines, name, key
 
     def entry(self, lines: Lines, section: str, key: str) -> DictionaryEntry:
-        """The entry that `lines` describe, with the value of a key in a section."""
+        """Return the entry that `lines` describe, with the value of a key in a section."""
         from canopen.objectdictionary import eds
 
         # What canopen would not do without, and what nobody needs.
@@ -163,7 +163,7 @@ class _File:
         )
 
     def _problem(self, lines: Lines, section: str, key: str) -> str:
-        """Where a key is that has no number; an empty text where it is missing."""
+        """Say where a key is that has no number; empty if it is missing."""
         found = key in lines and re.search(rf"(?ims)^\[{section}\].*?^({key})[ \t]*=", self._text)
         if not found:
             return ""

@@ -121,8 +121,8 @@ _MORE_TYPES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """Raw integer to A, V, N m or N: raw · factor · the drive's value of
-    the key `rated`, if any.
+    """Conversion of a raw integer to A, V, N m or N: raw · factor · the drive's value of the key
+    `rated`, if any.
     """
 
     unit: str
@@ -162,8 +162,8 @@ RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Converts raw integers of `entry` to SI at the motor, `scale` per unit;
-    `provenance`: source of the value.
+    """Conversion of raw integers of `entry` to SI at the motor, `scale` per unit; `provenance`:
+    source of the value.
     """
 
     entry: ObjectEntry
@@ -171,17 +171,19 @@ class EffortCodec:
     provenance: str
 
     def si(self, raw: Ints) -> Array:
-        """A, V, N m or N, of any shape."""
+        """Return A, V, N m or N, of any shape."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 
     def raw(self, value: Array) -> Ints:
-        """Nearest raw integers, limited to the range of the object's type as in a drive."""
+        """Return the nearest raw integers, limited to the range of the object's type as in a
+        drive.
+        """
         return saturated(value / self.scale, self.entry.type)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Converts counts of one or n motors to rad (or m): counts = zero_counts + sign ·
+    """Conversion of counts of one or n motors to rad (or m): counts = zero_counts + sign ·
     counts_per_unit · position.
     """
 
@@ -190,19 +192,19 @@ class PositionCodec:
     zero_counts: int | Array
 
     def si(self, raw: Ints) -> Array:
-        """Motor position in rad or m, of any shape."""
+        """Return the motor position in rad or m, of any shape."""
         return np.asarray(
             (raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64
         )
 
     def exact(self, value: Array) -> Array:
-        """Counts without rounding and limits."""
+        """Return counts without rounding and limits."""
         return np.asarray(
             value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64
         )
 
     def raw(self, value: Array) -> Ints:
-        """Nearest counts, limited to 32 bits."""
+        """Return the nearest counts, limited to 32 bits."""
         return saturated(self.exact(value), "I32")
 
 
@@ -228,8 +230,10 @@ def size_of(index: int, sub: int) -> int:
 
 
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
-    """Position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a feed
-    608Fh; None if unknown.
+    """Return position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a
+    feed 608Fh.
+
+    It is None if unknown.
     """
     encoder, gear, feed = (
         (values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS
@@ -238,11 +242,11 @@ def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> flo
 
 
 def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:
-    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah
-    selects; None if unknown.
+    """Return the quick stop deceleration that 605Ah selects, counts/s² of the motor; None if
+    unknown.
 
-    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or
-    60A9h states rpm/s or rpm.
+    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h
+    gives rpm/s or rpm.
     """
     raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
     unit = values.get(_ACCELERATION_UNIT) or values.get(VELOCITY_UNIT)
@@ -253,26 +257,28 @@ def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> f
 
 @cache
 def range_of(kind: str) -> tuple[int, int]:
-    """Lowest and highest integer of a type."""
+    """Return the lowest and highest integer of a type."""
     low = 0 if kind[0] == "U" else -(2 ** (BITS[kind] - 1))
     return low, low + 2 ** BITS[kind] - 1
 
 
 def signed(raw: int, bits: int) -> int:
-    """The number of `bits` bits, read without sign, as a two's complement."""
+    """Return the number of `bits` bits, read without sign, as a two's complement."""
     return raw - (1 << bits) if raw >> (bits - 1) else raw
 
 
 def saturated(value: Array, kind: str) -> Ints:
-    """Nearest integers that the type `kind` can hold."""
+    """Return the nearest integers that the type `kind` can hold."""
     low, high = range_of(kind)
     return np.rint(np.minimum(np.maximum(value, low), high)).astype(np.int64)
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) of the SYNC period.
+    """Return 60C2h, count (U8) and power of ten (I8) of the SYNC period.
 
-    Raises `BadInputError` if it has no exact form.
+    Raises
+    ------
+    BadInputError : it has no exact form.
     """
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit

@@ -86,7 +86,7 @@ DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FA
 
 
 def state_of(statusword: int) -> State:
-    """State in a statusword (6041h). Raises `BusFaultError` for bits of no state."""
+    """Return the state in a statusword (6041h); raise `BusFaultError` for bits of no state."""
     for state in State:
         if statusword & state.value[0] == state.value[1]:
             return state
@@ -94,15 +94,17 @@ def state_of(statusword: int) -> State:
 
 
 def command_of(controlword: int) -> Command | None:
-    """Command in a controlword (6040h), None for bits of no command."""
+    """Return the command in a controlword (6040h), None for bits of no command."""
     # a fault reset before all others
     return next((c for c in reversed(Command) if controlword & c.value[0] == c.value[1]), None)
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way to `goal`, None if none is needed.
+    """Return the first command on the shortest way to `goal`, None if none is needed.
 
-    Raises `BusFaultError` if there is no way.
+    Raises
+    ------
+    BusFaultError : there is no way.
     """
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
@@ -179,8 +181,9 @@ _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
 def error_frame_words(can_id: int, data: bytes) -> str:
-    """Classes of an error frame and their details; its bytes in hex where no class is known
-    (another adapter's frame).
+    """Return classes of an error frame and their details.
+
+    Bytes are in hex if no class is known (another adapter's frame).
     """
     data = data.ljust(8, b"\0")
     halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
@@ -257,7 +260,7 @@ _CODES = {
 
 
 def status_words(statusword: int) -> str:
-    """State in a statusword, and its other bits that differ from normal operation."""
+    """Return the state in a statusword, and its other bits that differ from normal operation."""
     try:
         words = [state_of(statusword).words]
     except BusFaultError:
@@ -272,12 +275,12 @@ def status_words(statusword: int) -> str:
 
 
 def notices(statusword: int) -> list[str]:
-    """Warning, internal limit active, following error, where their bits are set."""
+    """Return warning, internal limit active, following error, if their bits are set."""
     return [text for bit, text in _SET.items() if statusword & bit]
 
 
 def error_words(code: int) -> str:
-    """An error code with its name: `0x2310 (continuous over current)`."""
+    """Return an error code with its name: `0x2310 (continuous over current)`."""
     text = f"{code:04X}"
     names = (f" ({_CODES[text[:n]]})" for n in (4, 2, 1) if text[:n] in _CODES)
     return f"0x{text}{next(names, '')}"

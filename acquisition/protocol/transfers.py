@@ -47,19 +47,19 @@ class Pdo:
         return self.bits // 8
 
     def offset(self, index: int, sub: int) -> int:
-        """First byte in the frame of an object that is in it."""
+        """Return the first byte in the frame of an object that is in it."""
         keys = [entry.key for entry in self.entries]
         return sum(entry.bits for entry in self.entries[: keys.index((index, sub))]) // 8
 
     def pack(self, values: Mapping[tuple[int, int], int]) -> bytes:
-        """The frame's data from values by (index, sub-index); two's complement."""
+        """Return the frame's data from values by (index, sub-index); two's complement."""
         return b"".join(
             (values[e.index, e.sub] % (1 << e.bits)).to_bytes(e.bits // 8, "little")
             for e in self.entries
         )
 
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
-        """Values by (index, sub-index). Raises `BadInputError` when the frame is too short."""
+        """Return values by (index, sub-index); raise `BadInputError` if the frame is too short."""
         if len(data) < self.length:
             Location(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"{len(data)} bytes", expected=str(self.length)
@@ -74,8 +74,8 @@ class Pdo:
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
-    """Identifier of CiA 301's predefined connection set, which has four PDOs in
-    each direction; else None.
+    """Return the identifier of CiA 301's predefined connection set, which has four PDOs in each
+    direction; else None.
     """
     return USUAL_CAN_ID[direction] + 0x100 * (number - 1) + node if number <= 4 else None
 
@@ -104,11 +104,16 @@ def pdos_of(
     types: Mapping[Key, str],
     place: str,
 ) -> tuple[Pdo, ...]:
-    """PDOs that `values` of a dictionary's parameters describe, without disabled ones, identifier 0
-    and those whose identifier or number of entries is not known; `types` by object.
+    """Return PDOs that `values` of a dictionary's parameters describe; `types` by object.
 
-    Raises `BadInputError` with the sub-index of an entry that is not known, or that no PDO of
-    whole bytes can hold: the objects behind it would be at other bytes.
+    Left out are disabled ones, identifier 0 and those whose identifier or number of entries is not
+    known.
+
+    Raises
+    ------
+    BadInputError : with the sub-index of an entry that is not known, or that no PDO of whole bytes
+        can
+        hold: the objects behind it would be at other bytes.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
@@ -172,8 +177,8 @@ def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, in
 
 
 def frame_bits(length: int) -> int:
-    """Bits of a data frame of `length` bytes: 11-bit identifier, gap and
-    worst case of bit stuffing.
+    """Return the bits of a data frame of `length` bytes: 11-bit identifier, gap and worst case of
+    bit stuffing.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
@@ -217,48 +222,50 @@ class Transfer:
 
 
 def read_request(index: int, sub: int) -> bytes:
-    """Request to read an object."""
+    """Return a request to read an object."""
     return _frame(0x40, index, sub, b"")
 
 
 def write_request(index: int, sub: int, value: int, size: int) -> bytes:
-    """Request to write an object of `size` bytes; negative values in two's complement."""
+    """Return a request to write an object of `size` bytes; negative values in two's complement."""
     return _frame(
         0x23 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
     )
 
 
 def value_answer(index: int, sub: int, value: int, size: int) -> bytes:
-    """Answer with the value."""
+    """Return an answer with the value."""
     return _frame(
         0x43 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
     )
 
 
 def written_answer(index: int, sub: int) -> bytes:
-    """Answer to a write."""
+    """Return an answer to a write."""
     return _frame(0x60, index, sub, b"")
 
 
 def abort_answer(index: int, sub: int, meaning: str) -> bytes:
-    """Abort of a transfer: one of `ABORTS`."""
+    """Return an abort of a transfer: one of `ABORTS`."""
     return _frame(0x80, index, sub, ABORTS[meaning].to_bytes(4, "little"))
 
 
 def request_of(data: bytes) -> Transfer:
-    """A client's frame decoded; kind `other` if it is no expedited transfer."""
+    """Decode a client's frame; kind `other` if it is not an expedited transfer."""
     return _read(data, {1: "write", 2: "read", 4: "abort"})
 
 
 def answer_of(data: bytes) -> Transfer:
-    """A server's frame decoded; kind `other` if it is no expedited transfer."""
+    """Decode a server's frame; kind `other` if it is not an expedited transfer."""
     return _read(data, {2: "value", 3: "written", 4: "abort"})
 
 
 def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
-    """The number in the answer of a `node`, of the kind `wanted`.
+    """Return the number in the answer of a `node`, of the kind `wanted`.
 
-    Raises `SdoAbortedError` or `NoAnswerError`.
+    Raises
+    ------
+    SdoAbortedError, NoAnswerError : the answer is an abort, or of another kind.
     """
     if answer.kind == "abort":
         raise SdoAbortedError(
@@ -300,15 +307,17 @@ class Confirmed:
     _open: dict[Key, list[tuple[int | str, int | str]]] = field(default_factory=dict)
 
     def take(self, service: int, sdo: bytes) -> bool:
-        """Take the data of a request (600h), of an answer (580h), or of another frame that says
-        that the device starts; whether it has other values from then on.
+        """Take the data of a request (600h), of an answer (580h), or of another frame that shows a
+        device start.
+
+        Return True if it has other values from then on.
         """
         if service == REQUEST:
             return self._asked(request_of(sdo))
         return self._answered(answer_of(sdo)) if service == ANSWER else self._started()
 
     def _asked(self, request: Transfer) -> bool:
-        """What a request writes is not known before its answer."""
+        """Return what a request writes, which is not known before its answer."""
         if request.kind not in ("write", "other"):
             return False
         key = (request.index, request.sub)

@@ -35,7 +35,7 @@ class InlineLog:
         self.on_status: OnStatus = lambda status, stamp_ns: None
 
     def tap(self, frame: Frame) -> None:
-        """A frame sent or received."""
+        """Take a frame sent or received by the session."""
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
@@ -43,7 +43,7 @@ class InlineLog:
         self._recorder.event(stamp_ns, kind, text)
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Write the frames; returns a status every half second."""
+        """Write the frames; return a status every half second."""
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._write()
         status = self._recorder.tick(stamp_ns, 0)
@@ -52,10 +52,10 @@ class InlineLog:
         return status
 
     def alive(self) -> None:
-        """Does nothing: simulated drives need no second stop."""
+        """Do nothing: simulated drives need no watchdog."""
 
     def ended(self) -> None:
-        """Does nothing, as `alive`."""
+        """Do nothing, as `alive`."""
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
         """End the recording."""
@@ -75,9 +75,8 @@ class InlineLog:
 class ProcessLog:
     """A recorder in a separate process.
 
-    In the role `FED`, and only then, the session's link calls `tap`.
-
-    Raises `BusFaultError` where the process cannot open the bus or the file.
+    In the role `FED`, and only then, the session's link calls `tap`. It raises `BusFaultError` if
+    the process cannot open the bus or the file.
     """
 
     def __init__(
@@ -89,7 +88,9 @@ class ProcessLog:
         offset_ns: int | None = None,
         payload: Payload | None = None,
     ) -> None:
-        """`offset_ns`: the session's clock, used for its events, minus the monotonic clock."""
+        """Start the process; `offset_ns`: the session's clock, used for its events, minus the
+        monotonic clock.
+        """
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         watched, watching = context.Pipe()  # only a guard reads it
@@ -118,7 +119,7 @@ class ProcessLog:
         self._heard_s, self._hangs = time.monotonic(), False
 
     def tap(self, frame: Frame) -> None:
-        """A frame sent or received by the session."""
+        """Take a frame sent or received by the session."""
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
@@ -130,21 +131,25 @@ class ProcessLog:
         self._send(("granted", counters))
 
     def alive(self) -> None:
-        """Send a sign of life to the second stop: only from code whose progress shows that the
-        session runs, never a thread.
+        """Send a heartbeat to the watchdog.
+
+        Call this only from the session loop: a helper thread would keep sending after the loop has
+        hung.
         """
         self._watchdog_pipe.alive()
 
     def ended(self) -> None:
-        """Disarm the second stop."""
+        """Disarm the watchdog."""
         self._watchdog_pipe.ended()
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None if there is no new one.
+        """Return the latest status, None if there is no new one.
 
-        Called at every SYNC by the SYNC loop, as a sign of life.
+        The SYNC loop calls this at every SYNC, as a heartbeat.
 
-        Raises `BusFaultError` when the recorder has ended, hangs, or stops the drives.
+        Raises
+        ------
+        BusFaultError : the recorder has ended, hangs, or stops the drives.
         """
         self.alive()
         if reason := self._watchdog_pipe.stopped():
@@ -166,7 +171,7 @@ class ProcessLog:
         return status
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """End the recording. Raises `BusFaultError` when the recorder has ended before."""
+        """End the recording; raise `BusFaultError` if the recorder has ended before."""
         self.ended()
         if self._frames:
             self._hand_over()
@@ -200,7 +205,7 @@ class ProcessLog:
         raise BusFaultError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
 
     def _messages(self, until_s: float) -> Iterator[tuple[str, Any]]:
-        """What the process sends, by kind, until a monotonic time."""
+        """Yield what the process sends, by kind, until a monotonic time."""
         try:
             while self._connection.poll(max(0.0, until_s - time.monotonic())):
                 kind, content = self._connection.recv()

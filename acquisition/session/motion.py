@@ -28,19 +28,25 @@ _DOWN: dict[State | None, Command] = {
 
 
 def all_enabled(master: Master) -> bool:
-    """Whether every drive is in operation enabled."""
+    """Test whether every drive is in operation enabled."""
     return all(watch.state is State.OPERATION_ENABLED for watch in master.nodes)
 
 
 def enable(
     master: Master, targets: list[int], in_fault: Collection[int] = ()
 ) -> Iterator[Orders | None]:
-    """Orders for each SYNC until every drive is in operation enabled; None where
-    nothing is to be sent.
+    """Yield commands for each SYNC until every drive is in operation enabled; None where nothing is
+    to be sent.
 
-    `targets`, empty, receives the target counts (n) at which the drives are held. Only faults of
-    the nodes `in_fault`, which the operator confirmed, are reset. Raises `BusFaultError`: another
-    fault, or not enabled after 5 s.
+    Parameters
+    ----------
+    master : the drives.
+    targets : empty; receives the target counts (n) at which the drives are held.
+    in_fault : nodes whose faults the operator confirmed; only these are reset.
+
+    Raises
+    ------
+    BusFaultError : another fault, or not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -82,9 +88,11 @@ def enable(
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
-    """Orders at constant targets until every drive is in switch on disabled or fault.
+    """Yield commands that hold the targets until every drive is in switch on disabled or fault.
 
-    Raises `BusFaultError` after 5 s.
+    Raises
+    ------
+    BusFaultError : not so after 5 s.
     """
     for _ in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         states = [watch.state for watch in master.nodes]
@@ -127,8 +135,8 @@ class MotionState:
 
 
 def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
-    """The fault that ends any active session: emergency, restart, lost heartbeat,
-    missed answers, bus error.
+    """Return the fault that ends any active session: emergency, restart, lost heartbeat, missed
+    answers, bus error.
     """
     if master.bus_error is not None:
         return BusFaultError(master.bus_error, place="bus")
@@ -157,8 +165,8 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
 
 
 def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
-    """The fault of a drive that has left operation enabled, or does not follow
-    commands by its statusword.
+    """Return the fault of a drive that has left operation enabled, or does not follow commands by
+    its statusword.
     """
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
@@ -186,8 +194,8 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
 
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultError | None:
-    """The fault of a joint: limits of position, speed, following error, and motion
-    while drives are enabled.
+    """Return the fault of a joint: limits of position, speed, following error, and motion while
+    drives are enabled.
     """
     q, file = motion.measured[-1], master.bus.file
     before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None

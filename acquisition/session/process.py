@@ -47,7 +47,9 @@ ALIVE, ENDED = b"\1", b"\0"
 
 
 def silence_s(file: BusFile) -> float:
-    """Time without a sign of life after which the session counts as hung."""
+    """Return the watchdog timeout, s: without a heartbeat for this long, the session counts as
+    hung.
+    """
     return max(SILENT_S, SILENT_PERIODS * file.sync_period_s)
 
 
@@ -59,7 +61,7 @@ class WatchdogPipe:
         os.set_blocking(connection.fileno(), False)
 
     def alive(self) -> None:
-        """Send a sign of life; after `ended`, the end instead."""
+        """Send a heartbeat; after `ended`, the end instead."""
         # full, or nobody reads: the missing status of the recorder shows it
         with suppress(OSError):
             os.write(self._connection.fileno(), self._sign)
@@ -70,9 +72,9 @@ class WatchdogPipe:
         self.alive()
 
     def stopped(self) -> str:
-        """Reason for which the second stop acts, empty if it does not.
+        """Return the reason for which the watchdog acts, empty if it does not.
 
-        Set before its first frame can be received.
+        It is set before its first frame can be received.
         """
         with suppress(OSError):  # nothing to read
             return os.read(self._connection.fileno(), 4096).decode()
@@ -84,8 +86,8 @@ class WatchdogPipe:
 
 
 class Watchdog:
-    """The recorder's end of the pipe: a thread that waits for signs of life, and stops the
-    drives when they stop.
+    """The recorder's end of the pipe: a thread that waits for heartbeats, and stops the drives
+    without them.
     """
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
@@ -97,7 +99,7 @@ class Watchdog:
 
     @property
     def waiting(self) -> bool:
-        """Whether it may still stop the drives, or is stopping them."""
+        """True while it may still stop the drives, or is stopping them."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
@@ -164,7 +166,7 @@ def run(
     role: Role,
     payload: Payload | None,
 ) -> None:
-    """The recorder's process; `pipes`: to the session, and of its signs of life.
+    """Run the recorder's process; `pipes`: to the session, and of its heartbeats.
 
     It ignores signals such as Ctrl-C, and ends on request or when the session has died.
     """
@@ -208,8 +210,8 @@ def run(
 
 
 def _master_ids(robot: Robot, place: str) -> Ints:
-    """Identifiers of frames that only the master sends, which in an active
-    session is this program.
+    """Return identifiers of frames that only the master sends, which in an active session is this
+    program.
     """
     bus = resolve(robot, place)
     return np.array(

@@ -42,7 +42,7 @@ class Status:
 class RecordedSummary:
     """Result of a recording: number of samples, or why there are none, and warnings.
 
-    `path`: where it is, another one than asked for if that was deleted; None: it has no frames and
+    `path`: where it is, another one than requested if that was deleted; None: it has no frames and
     was removed.
     """
 
@@ -66,9 +66,9 @@ def refuse_taken(path: Path) -> None:
 
 
 class Recorder:
-    """Writes the recording `path`; flushed data survives a kill.
+    """The writer of the recording `path`; flushed data survives a kill.
 
-    Raises `BadInputError` if it exists or writing fails.
+    It raises `BadInputError` if the file exists or writing fails.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ def write_decoded(
 
 
 def _table(bus: Bus) -> dict[str, str]:
-    """PDO table and raw rated values, for the metadata."""
+    """Return the PDO table and raw rated values, for the metadata."""
     return {
         "pdo_table": "; ".join(
             f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"

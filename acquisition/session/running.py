@@ -64,7 +64,8 @@ INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"  # by the operator
 
 @dataclass(frozen=True, kw_only=True)
 class UserInterface:
-    """How a session is stopped, shows its state and asks its operator. By default nothing moves.
+    """The way in which a session is stopped, shows its state and asks its operator. By default
+    nothing moves.
 
     `confirm` shows the joint positions and the drives in fault before motion, and returns True if
     the operator confirms them.
@@ -89,9 +90,20 @@ def record(
 
     The robot moves only with `options.track`.
 
-    `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an
-    existing file is never replaced. Errors of a running session are in the returned outcome; those
-    of options, description, bus or file are raised as `RobotIdimError` before it runs.
+    Parameters
+    ----------
+    robot : has a `[bus]` section; `place` names it in errors.
+    out : the recording to write; an existing file is never replaced.
+    options : of the session.
+    operator : stops, watches and confirms.
+
+    Returns
+    -------
+    The outcome, with the error of a session that was running.
+
+    Raises
+    ------
+    RobotIdimError : options, description, bus or file are refused before the session runs.
     """
     refuse_taken(out)
     file = Location(place).given(
@@ -153,7 +165,12 @@ def _left_shown(task: Task, period_s: float, started_ns: int, operator: UserInte
 def _task_of(
     robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface
 ) -> Task:
-    """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
+    """Return the task in the options.
+
+    Raises
+    ------
+    RobotIdimError : options contradict each other.
+    """
     Location("--track").require(
         options.track is None or options.duration_s is None,
         text="lasts as long as its reference",
@@ -189,7 +206,7 @@ def _task_of(
 def _simulated(
     bus: Bus, robot: Robot, out: Path, place: str, payload: Payload | None
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
-    """Link to simulated drives in simulated time, and its log."""
+    """Return a link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
     with closing(
         InlineLog(
@@ -212,7 +229,7 @@ def _simulated(
 def _on_bus(
     bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions, payload: Payload | None
 ) -> Iterator[tuple[Link, ProcessLog]]:
-    """Link to the drives, and the recorder in a separate process.
+    """Return a link to the drives, and the recorder in a separate process.
 
     The link comes first: without a bus no file is written.
     """
@@ -290,8 +307,9 @@ def _listen(
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them
-    asks for a quick stop.
+    """Set `stop` on Ctrl-C, SIGTERM and a closed terminal inside the block.
+
+    Ctrl-C after any of them asks for a quick stop.
     """
 
     def asked(number: int, _: FrameType | None) -> None:
@@ -318,13 +336,27 @@ WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this compu
 def replay(
     path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False
 ) -> int:
-    """Send the frames that the drives of a recording sent, and its SYNCs, in their order
-    and with their timing.
+    """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with
+    their timing.
 
-    Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed,
-    and `onto_bus` allows interfaces with hardware. Returns the number of frames sent. Raises
-    `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives,
-    another node sends before or between these frames, or the bus accepts none.
+    Commands are never sent.
+
+    Parameters
+    ----------
+    path : the recording.
+    file : the bus to send on.
+    stop : ends the replay.
+    speed : factor on the recorded speed.
+    onto_bus : allows interfaces with hardware.
+
+    Returns
+    -------
+    The number of frames sent.
+
+    Raises
+    ------
+    RobotIdimError : `speed` or the interface is refused, the recording holds no frames of drives,
+        another node sends before or between these frames, or the bus accepts none.
     """
     COMMAND_LINE.require(speed > 0, "--speed", speed, "more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
@@ -340,7 +372,7 @@ def replay(
     count = 0
 
     def listen_until(until_s: float) -> None:
-        """Wait. Raises `RefusedError` at the first frame that is not our own."""
+        """Wait; raise `RefusedError` at the first frame of another node."""
         while not stop.reason:
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
@@ -368,12 +400,15 @@ def replay(
 
 
 def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
-    """Frames that the drives of the recording sent, and SYNC, from the channel with the most
-    frames; and the bus as described.
+    """Return the frames that the drives of the recording sent, and SYNC; and the bus as described.
 
-    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and
-    heartbeats. Error frames, remote requests and 29-bit frames are left out. Raises `BadInputError`
-    where no frame is left.
+    They are those of the channel with the most frames. Drives are those of the description in the
+    recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames, remote requests
+    and 29-bit frames are left out.
+
+    Raises
+    ------
+    BadInputError : no frame is left.
     """
     at = Location(place)
     at.require(recording.frames, text="holds no CAN frames", expected="a recording of drives")

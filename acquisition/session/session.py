@@ -32,7 +32,9 @@ HOLD_S = 0.3  # the drives hold their position at the end of motion, before they
 
 @dataclass(kw_only=True)
 class Stop:
-    """Ends a session when `reason` is set (Ctrl-C, SIGTERM); with `at_once` by a quick stop."""
+    """A stop of a session, when `reason` is set (Ctrl-C, SIGTERM); with `at_once` by a quick
+    stop.
+    """
 
     reason: str = ""
     at_once: bool = False
@@ -56,7 +58,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a session ended."""
+    """The end of a session."""
 
     reason: str
     fault: bool  # whether an error ended it
@@ -69,7 +71,7 @@ class Outcome:
 
     @property
     def alarm(self) -> str:
-        """The message that is shown first; empty where every drive confirmed."""
+        """Message that is shown first; empty if every drive confirmed."""
         return bus.not_disabled(self.unconfirmed) if self.unconfirmed else ""
 
 
@@ -81,15 +83,27 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, send SYNC and record; follow the task's reference if it has
-    one, else nothing moves.
+    """Configure the drives, send SYNC and record; follow the task's reference if it has one.
 
-    `master` has an open link that may send; `log` gets its frames independently. `stop`, set from
-    outside (Ctrl-C), ends the session. `announce` is called with the outcome as soon as it is
-    known, also when an exception follows. An `RobotIdimError` that ended the session is not raised:
-    it is the `error` of the outcome. Any other exception is raised after the drives were disabled;
-    what is raised while they are stopped, by `log` or `announce`, is held back until then, and
-    unless it is an interrupt (KeyboardInterrupt, SystemExit) it is only recorded.
+    Without a reference nothing moves.
+
+    Parameters
+    ----------
+    robot : the robot, with its drives.
+    master : has an open link that may send.
+    log : gets the frames of the link independently.
+    task : the reference, or a duration.
+    stop : ends the session when set from outside (Ctrl-C).
+    announce : called with the outcome as soon as it is known, also when an exception follows.
+
+    Returns
+    -------
+    The outcome. A `RobotIdimError` that ended the session is not raised: it is the outcome's
+    `error`.
+
+    Any other exception is raised after the drives were disabled; what is raised while they are
+    stopped, by `log` or `announce`, is held back until then, and unless it is an interrupt
+    (KeyboardInterrupt, SystemExit) it is only recorded.
     """
     session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
@@ -281,7 +295,7 @@ class _Session:
             self._stop.reason, self.cut_short = status.ends, True
 
     def _other_master(self, in_motion: bool) -> RobotIdimError | None:
-        """The fault if another master commands our drives in motion; any other sign of one
+        """Return the fault if another master commands the drives in motion; any other sign of one
         is a warning, once each.
         """
         signs, self._master.signs = self._master.signs, {}
@@ -295,7 +309,7 @@ class _Session:
         return None
 
     def _positions(self) -> Array | None:
-        """Measured joint positions (n,), None until every drive has sent its position."""
+        """Return measured joint positions (n,), None until every drive has sent its position."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
         return (
             bus.joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
@@ -328,7 +342,7 @@ class _Session:
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[bus.Orders]:
-        """Orders that keep drives enabled at the joint targets of `path` (N, n)."""
+        """Yield commands that keep drives enabled at the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             motor = self._robot.motor_position(q[None])[0]
             yield _enabled_at(
@@ -349,8 +363,9 @@ class _Session:
         )
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive, or read the states if none was commanded; node ids of
-        those that did not confirm.
+        """Stop and disable every drive, or read the states if none was commanded.
+
+        Return the node ids of those that did not confirm.
         """
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
@@ -368,7 +383,9 @@ class _Session:
         return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
-        """Error reports of drives in fault, one line each, without those that did not confirm."""
+        """Return error reports of drives in fault, one line each, without those that did not
+        confirm.
+        """
         in_fault = [
             watch.drive
             for watch in self._master.nodes
@@ -389,5 +406,5 @@ class _Session:
 
 
 def _enabled_at(counts: list[int]) -> bus.Orders:
-    """Orders that keep drives enabled at the target counts."""
+    """Return commands that keep drives enabled at the target counts."""
     return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]

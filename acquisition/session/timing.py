@@ -24,7 +24,7 @@ MAX_ANSWER_SHARE = 0.7  # of a period, for the drives' answers to SYNC
 
 
 def largest_delay_s(file: BusFile) -> float:
-    """How late SYNC may be in motion, s."""
+    """Return how late SYNC may be in motion, s."""
     return (
         max(MAX_LATE_PERIODS * file.sync_period_s, MAX_LATE_S)
         if file.late_sync_s is None
@@ -33,7 +33,7 @@ def largest_delay_s(file: BusFile) -> float:
 
 
 class Pace:
-    """Sends or awaits each SYNC, then receives the answers to it."""
+    """The pace of SYNC: each is sent or awaited, then its answers are received."""
 
     def __init__(self, master: Master) -> None:
         file = master.bus.file
@@ -46,11 +46,14 @@ class Pace:
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
-        """Wait until SYNC is due, send it (or await that of the other
-        producer), and take the answers.
+        """Wait until SYNC is due, send it (or await that of the other producer), and take the
+        answers.
 
-        Raises `BusFaultError` where SYNC is later than allowed in motion, or absent: drives would
-        stop at their last target, and the next target would be a step.
+        Raises
+        ------
+        BusFaultError : SYNC is later than allowed in motion, or absent: drives would stop at their
+            last
+            target, and the next target would be a step.
         """
         if self._ours:
             self._master.wait(self.next_ns)
@@ -93,7 +96,7 @@ DEVIATIONS = 3  # standard deviations of jitter within the largest delay of SYNC
 
 
 def scheduling_words(granted: Mapping[str, float]) -> str:
-    """What `real_time_scheduling` was granted, in words."""
+    """Say what `real_time_scheduling` was granted."""
     fifo = (
         f"SCHED_FIFO, priority {PRIORITY}"
         if granted["sched_fifo"]
@@ -105,8 +108,10 @@ def scheduling_words(granted: Mapping[str, float]) -> str:
 
 @contextmanager
 def real_time_scheduling() -> Iterator[dict[str, float]]:
-    """Real-time scheduling, locked memory, no garbage collection inside the block where permitted;
-    yields what was granted, as counters of `/health`.
+    """Use real-time scheduling and locked memory without garbage collection inside the block, where
+    permitted.
+
+    It yields what was granted, as counters of `/health`.
     """
     policy, parameter, collected = os.sched_getscheduler(0), os.sched_getparam(0), gc.isenabled()
     gc.collect()
@@ -143,18 +148,19 @@ class Jitter:
 
     @property
     def fit_for_motion(self) -> bool:
-        """Whether three standard deviations are within the largest delay."""
+        """True if three standard deviations are within the largest delay."""
         return DEVIATIONS * self.sd_s <= self.largest_s
 
 
 def sync_jitter(master: Master) -> Jitter:
-    """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least.
+    """Measure the jitter of SYNC over 200 periods or a second, at least 20 periods.
 
-    Nothing is sent.
+    Nothing is sent. If this master produces SYNC, the times at which it would be sent are measured,
+    otherwise the times at which it arrives.
 
-    Where this master produces SYNC, the times at which it would be sent are measured, else the
-    times at which it arrives. Raises `BusFaultError` where SYNC of the other producer is
-    absent for 50 periods.
+    Raises
+    ------
+    BusFaultError : SYNC of the other producer is absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(MAX_JITTER_SYNCS, max(MIN_JITTER_SYNCS, round(MAX_JITTER_S * 1e9 / period_ns)))
@@ -183,7 +189,12 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
+    """Return the measured jitter of SYNC.
+
+    Raises
+    ------
+    RefusedError : it is too large to move a robot.
+    """
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise RefusedError(

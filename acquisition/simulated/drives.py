@@ -105,13 +105,13 @@ class SimulatedDrives:
                 node.initial[cia.HEARTBEAT_TIME, 0] = every_ms
 
     def boot(self) -> Sent:
-        """Boot all drives; their boot-up messages."""
+        """Boot all drives; return their boot-up messages."""
         sent = [frame for node in self.nodes for frame in node.boot()]
         self._sample()
         return sent
 
     def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
-        """The frames that the drives send in response to a frame."""
+        """Return the frames that the drives send in response to a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
         if cia.HEARTBEAT < can_id < cia.HEARTBEAT + 0x80 and data:
@@ -120,7 +120,7 @@ class SimulatedDrives:
         return [frame for node in self.nodes for frame in node.receive(can_id, data)]
 
     def due_ns(self) -> int | None:
-        """When `advance` must be called next, None where nothing is due."""
+        """Return when `advance` must be called next, None if nothing is due."""
         times = [
             *(t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)),
             *(due for one in self._supervisions if (due := one.due_ns()) is not None),
@@ -128,8 +128,8 @@ class SimulatedDrives:
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """Heartbeats that are due; drives that supervise SYNC or a master
-        react where it is lost.
+        """Return heartbeats that are due; drives that supervise SYNC or a master react if it is
+        lost.
         """
         sent: Sent = []
         for i, node in enumerate(self.nodes):
@@ -165,7 +165,7 @@ class SimulatedDrives:
         return sent
 
     def _answer(self, i: int, now_ns: int) -> Sent:
-        """TPDOs of drive `i`, which then applies the RPDOs received since the last SYNC."""
+        """Return TPDOs of drive `i`, which then applies the RPDOs received since the last SYNC."""
         sent = self.nodes[i].answers()
         self.nodes[i].apply()
         return sent
@@ -231,8 +231,8 @@ class SimulatedDrives:
         self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
 
     def _targets(self, position: Array, enabled: Bools) -> Array:
-        """Motor targets (n,) from 607Ah; the present position where a drive is not
-        enabled or in another mode.
+        """Return motor targets (n,) from 607Ah; the present position if a drive is not enabled or
+        in another mode.
         """
         mode = cia.Mode.CYCLIC_SYNCHRONOUS_POSITION
         follows = enabled & [n.values.get((cia.MODE_DISPLAY, 0), mode) == mode for n in self.nodes]
@@ -240,7 +240,7 @@ class SimulatedDrives:
         return np.where(follows, self._positions.si(counts), position)
 
     def _measured(self) -> tuple[Array, Array]:
-        """Measured positions and speeds, (n,) of the motors."""
+        """Return measured positions and speeds, (n,) of the motors."""
         q, dq = self.plant.state()
         return self._positions.si(self._counts(q)), self._robot.motor_velocity(dq)
 
@@ -266,8 +266,8 @@ class SimulatedDrives:
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
-    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of
-    the motor; 0 if unknown.
+    """Return the quick stop deceleration by `values` of its objects, rad/s² or m/s² of the motor; 0
+    if unknown.
     """
     objects = {index: values.get((axis_index(node.drive, index), 0)) for index in cia.RAMP_OBJECTS}
     codec = node.drive.position_codec
@@ -292,7 +292,7 @@ class LockStepLink:
         self._to_drives, self._from_drives = deque[tuple[int, bytes]](), deque(drives.boot())
 
     def now_ns(self) -> int:
-        """Simulated time."""
+        """Return the simulated time, ns."""
         return self._time_ns
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -301,7 +301,7 @@ class LockStepLink:
         self._tap(Frame(self._time_ns, can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`."""
+        """Return the next frame, None if there is none until `until_ns`."""
         while not self._from_drives:
             if self._to_drives:
                 self._from_drives += self.drives.receive(self._time_ns, *self._to_drives.popleft())

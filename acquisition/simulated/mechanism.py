@@ -25,16 +25,16 @@ class Plant(Protocol):
     """A mechanism of n joints, all quantities at the joint, SI (effort in the robot's units)."""
 
     def state(self) -> tuple[Array, Array]:
-        """Position and speed, each (n,)."""
+        """Return position and speed, each (n,)."""
 
     def prescribed_effort(self) -> Array | None:
-        """Effort (n,) that drives report instead of that of their loops; None if
-        the loops move the plant.
+        """Return the effort (n,) that drives report instead of that of their loops; None if the
+        loops move the plant.
         """
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
-        """Step by `duration_s` under constant `effort` (n,); brakes hold the
-        joints where `held` (n,).
+        """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held`
+        (n,).
         """
 
 
@@ -66,16 +66,16 @@ class JointwisePlant:
         self._q, self._dq = np.array(position, dtype=float), np.zeros(len(position))
 
     def state(self) -> tuple[Array, Array]:
-        """Position and speed."""
+        """Return position and speed, each (n,)."""
         return self._q.copy(), self._dq.copy()
 
     def prescribed_effort(self) -> Array | None:
-        """None: the loops move it."""
+        """Return None, because the loops move it."""
         return None
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
-        """Load at the middle of the step; Coulomb friction stops a joint, but does
-        not reverse its motion.
+        """Step with the load at the middle; Coulomb friction stops a joint, but does not reverse
+        its motion.
         """
         speed = np.where(held, 0.0, self._dq)
         middle = self._q + 0.5 * duration_s * speed
@@ -89,8 +89,9 @@ class JointwisePlant:
 def typical_plant(
     robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD
 ) -> JointwisePlant:
-    """Independent joints that suit the drives, in mid-range; a horizontal joint carries
-    `load_share` of its rated effort.
+    """Return independent joints that suit the drives, in mid-range.
+
+    A horizontal joint carries `load_share` of its rated effort.
     """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
@@ -105,7 +106,7 @@ def typical_plant(
 
 
 def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
-    """Inertias (n,) at the joints: half the rated effort gives the stated acceleration."""
+    """Return inertias (n,) at the joints: half the rated effort gives the acceleration limit."""
     return np.asarray(
         0.5
         * np.abs(robot.joint_effort(rated_motor_effort[None])[0])
@@ -114,14 +115,12 @@ def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
 
 
 def middle_of_range(robot: Robot) -> Array:
-    """Joint positions (n,) in the middle of the stated limits, 0 where
-    none are stated; rad or m.
-    """
+    """Return joint positions (n,) in the middle of the limits, 0 without limits; rad or m."""
     return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
 
 class TablePlant:
-    """Replays joint samples, one row per period; the drives' loops have no effect."""
+    """A plant that replays joint samples, one row per period; the drives' loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         Location("").require(
@@ -134,13 +133,13 @@ class TablePlant:
         return min(round(self._elapsed_s * self._rate_hz), len(self._samples) - 1)
 
     def state(self) -> tuple[Array, Array]:
-        """Position of the row; speed between it and the next."""
+        """Return the position of the row, and the speed between it and the next."""
         q = self._samples["position"]
         now, following = q[self._row], q[min(self._row + 1, len(q) - 1)]
         return now.copy(), (following - now) * self._rate_hz
 
     def prescribed_effort(self) -> Array | None:
-        """Effort of the row."""
+        """Return the effort of the row."""
         return np.array(self._samples["effort"][self._row])
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
@@ -171,11 +170,11 @@ class LoopGains:
 
 
 def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
-    """Position loops of the stated bandwidth w, velocity loops four times as fast with an
-    integral, speed fed forward.
+    """Return position loops of the given bandwidth w, with velocity loops four times as fast with
+    an integral.
 
-    `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w Kd e + Kd
-    de + w² Kd integral(e).
+    Speed is fed forward. `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w
+    Kd e + Kd de + w² Kd integral(e).
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
@@ -188,12 +187,12 @@ def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
 
 
 def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
-    """The description for a recording of simulated drives: the law of `cascaded_loops` is
-    added if it states none.
+    """Return the description for a recording of simulated drives.
 
-    The fit then simulates the recorded drives. The law is in a separate file because it
-    does not describe the robot's real drives: robot.toml, from which a description is
-    exported, stays unchanged.
+    The control law of `cascaded_loops` is added if the description has none, so that the fit
+    simulates the recorded drives. The control law is in a separate file because it does not
+    describe the robot's real drives: robot.toml, from which a description is exported, stays
+    unchanged.
     """
     bandwidth_hz = robot.controller.bandwidth_hz
     if robot.bus is None or robot.controller != Controller(bandwidth_hz=bandwidth_hz):
@@ -208,8 +207,8 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Distance and speed at a share of the period, by a cubic over `travel` with end
-    speeds `first` and `last`.
+    """Return distance and speed at a share of the period, by a cubic over `travel` with end speeds
+    `first` and `last`.
     """
     # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
@@ -234,8 +233,9 @@ class DrivenPlant:
 
 
 def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
-    """The robot of `[parameters]` with its payload; without parameters or dynamics independent
-    joints, and a warning.
+    """Return the robot of `[parameters]` with its payload.
+
+    Without parameters or dynamics these are independent joints, with a warning.
     """
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
@@ -267,7 +267,7 @@ def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
 
 
 def rated_motor_effort(bus: Bus) -> Array:
-    """Rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each
+    """Return rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each
     drive's effort object.
     """
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])

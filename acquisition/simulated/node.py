@@ -38,7 +38,7 @@ class SimulatedNode:
     boot_up_counts: bool = False
 
     def boot(self) -> Sent:
-        """Reset all values to their initial ones; the boot-up message."""
+        """Reset all values to their initial ones; return the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
         self.nmt, self.state, self.waiting = 127, cia.State.SWITCH_ON_DISABLED, {}
@@ -48,28 +48,28 @@ class SimulatedNode:
 
     @property
     def operational(self) -> bool:
-        """Whether PDOs are sent and received (NMT state operational)."""
+        """True if PDOs are sent and received (NMT state operational)."""
         return self.nmt == 5
 
     def heartbeat(self) -> Sent:
-        """The heartbeat message."""
+        """Return the heartbeat message."""
         return [(cia.HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int) -> Sent:
-        """Enter fault reaction; the emergency message (CiA 301, 7.2.7)."""
+        """Enter fault reaction; return the emergency message (CiA 301, 7.2.7)."""
         self.state = cia.State.FAULT_REACTION_ACTIVE
         return self.error(code)
 
     def error(self, code: int) -> Sent:
-        """An emergency message without a change of state; the objects of the
-        last error are set too.
+        """Return an emergency message without a change of state; the objects of the last error are
+        set too.
         """
         last = {(0x1001, 0): 1, (0x1003, 1): code, (0x603F, 0): code}
         self.values |= {key: value for key, value in last.items() if key in self.values}
         return [(cia.EMERGENCY + self.drive.node, code.to_bytes(2, "little") + b"\1\0\0\0\0\0")]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
-        """The answers to a frame other than SYNC."""
+        """Return the answers to a frame other than SYNC."""
         node = self.drive.node
         if can_id == 0 and len(data) >= 2 and data[1] in (0, node):
             if data[0] in RESET:
@@ -98,7 +98,7 @@ class SimulatedNode:
                     self._set(key, value)
 
     def answers(self) -> Sent:
-        """TPDOs with the current values."""
+        """Return TPDOs with the current values."""
         return (
             [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
         )
@@ -163,7 +163,7 @@ class SimulatedNode:
         return cia.written_answer(*key)
 
     def _refuse_mapping(self, key: Key, value: int) -> str:
-        """Why a write to a mapping parameter is not allowed; empty where it is."""
+        """Return why a write to a mapping parameter is not allowed; empty if it is."""
         index, sub = key
         for communication, mapping in cia.PARAMETERS.values():
             if mapping <= index < mapping + cia.MAX_PDOS:
@@ -194,13 +194,14 @@ class SimulatedNode:
 
 
 def _entries_of(index: int, count: int) -> dict[Key, str]:
-    """Types of an array or a record of U32."""
+    """Return the types of an array or a record of U32."""
     return {(index, sub): "U32" if sub else "U8" for sub in range(count + 1)}
 
 
 def _units_and_limits(drive: Drive) -> dict[Key, int]:
-    """Raw texts, modes, position units and limits of the description; 0 where it states none, or
-    the motor slides.
+    """Return raw texts, modes, position units and limits of the description.
+
+    They are 0 if it gives none, or if the motor slides.
     """
     per_turn = Fraction(drive.file.counts_per_turn or 0).limit_denominator(1000)
     position, velocity, motor_speed = cia.MOTION_LIMITS
@@ -224,8 +225,8 @@ def _units_and_limits(drive: Drive) -> dict[Key, int]:
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
-    """A drive with the objects of its dictionary; without one, the usual objects and
-    those in the description.
+    """Make a drive with the objects of its dictionary; without one, the usual objects and those in
+    the description.
     """
     read_only: frozenset[Key] = frozenset()
     if drive.dictionary is not None:
@@ -299,8 +300,8 @@ _REACTIONS = {2: cia.State.SWITCH_ON_DISABLED, 3: cia.State.QUICK_STOP_ACTIVE}
 
 
 class Supervision:
-    """Supervision in one drive, if `supervised`: heartbeat consumers, SYNC, following
-    error over `window` counts.
+    """Monitoring in one drive, if `supervised`: heartbeat consumers, SYNC, following error over
+    `window` counts.
     """
 
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
@@ -319,7 +320,7 @@ class Supervision:
         self.sync_ns: int | None = None  # time of the last SYNC
 
     def follow(self, counts: float) -> Sent:
-        """React to a following error in counts; the emergency message if it is too large."""
+        """React to a following error in counts; return the emergency message if it is too large."""
         window = self._node.values.get(self._window, NO_WINDOW)
         beyond = (
             self._node.state is cia.State.OPERATION_ENABLED
@@ -337,12 +338,14 @@ class Supervision:
                 self._heard[sub] = (entry, now_ns)
 
     def due_ns(self) -> int | None:
-        """When a heartbeat or SYNC is next due to count as lost; None if nothing is supervised."""
+        """Return when a heartbeat or SYNC is next due to count as lost; None if nothing is
+        monitored.
+        """
         due = (*self._deadlines().values(), self._sync_lost_ns)
         return min((time_ns for time_ns in due if time_ns is not None), default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """React to lost heartbeats and lost SYNC; the emergency messages."""
+        """React to lost heartbeats and lost SYNC; return the emergency messages."""
         lost = [sub for sub, deadline in self._deadlines().items() if now_ns >= deadline]
         for sub in lost:
             del self._heard[sub]  # starts again at the next heartbeat
@@ -365,8 +368,8 @@ class Supervision:
         }
 
     def _deadlines(self) -> dict[int, int]:
-        """Time at which each consumer times out; a rewritten entry starts
-        with the next heartbeat.
+        """Return the time at which each consumer times out; a rewritten entry starts with the next
+        heartbeat.
         """
         values = self._node.values
         self._heard = {
