@@ -1,8 +1,8 @@
-"""The references of all keys, options and public names, and the guides' tables of tests of a fit:
+"""The references of all keys, options and public names, and the table of the tests of a fit:
 made from the structures and parsers that read them, docstrings, and the words of the tests.
 
-`python tests/key_reference.py` writes the references in the docs of both packages, and
-the tables of identification/README.md and results.md again.
+`python tests/key_reference.py` writes the references in the docs of both packages, and the table
+in identification/docs/reading-a-fit.md again.
 """
 
 import argparse
@@ -46,11 +46,9 @@ MAP_TABLES = {
     "Angles": "[position] and [reference]",
     "Quantity": "[effort] and others",
 }
-# By guide the columns of its table of tests, each with the field of `Words` that it shows.
-GUIDES = {
-    "README.md": {"what is wrong": "wrong", "what to do": "advice"},
-    "results.md": {"what it detects": "detects", "limit": "limit", "what to do": "advice"},
-}
+# The page with the table of tests, and its columns, each with the field of `Words` that it shows.
+TESTS_PAGE = ROOT / "identification" / "docs" / "reading-a-fit.md"
+TESTS_COLUMNS = {"what it detects": "detects", "limit": "limit", "what to do": "advice"}
 MADE = "made by `python tests/key_reference.py` -->"  # the mark above a table in a guide
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
@@ -202,17 +200,19 @@ def python_reference(package: ModuleType) -> str:
     return "\n".join(lines) + "\n"
 
 
-def guides() -> Iterator[tuple[Path, str]]:
-    """Path and text of the guides, with their tables of the tests of a fit between two marks."""
-    for page, columns in GUIDES.items():
-        rows = [
-            ("line", *columns),
-            *((f"`{name}`", *map(vars(row).get, columns.values())) for name, row in WORDS.items()),
-        ]
-        lines = [f"| {' | '.join(row)} |" for row in rows]
-        path, border = ROOT / "identification" / page, "|---" * len(rows[0]) + "|"
-        begin, _, end = re.split(f"(?<={MADE})\n\n(.*?)(?=<!-- end)", path.read_text(), flags=re.S)
-        yield path, "\n".join((begin, "", lines[0], border, *lines[1:], "", end))
+def page_of_tests() -> str:
+    """Return the page with the table of the tests of a fit, between two marks."""
+    rows = [
+        ("test", *TESTS_COLUMNS),
+        ("---",) * (1 + len(TESTS_COLUMNS)),
+        *(
+            (f"`{name}`", *map(vars(row).get, TESTS_COLUMNS.values()))
+            for name, row in WORDS.items()
+        ),
+    ]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    split = re.split(f"(?<={MADE})\n\n(.*?)(?=<!-- end)", TESTS_PAGE.read_text(), flags=re.S)
+    return "\n".join((split[0], "", *lines, "", split[-1]))
 
 
 def pages() -> dict[Path, str]:
@@ -257,7 +257,7 @@ def pages() -> dict[Path, str]:
     for package in (acquisition, identification):
         page = ROOT / package.__name__ / "docs" / "python-reference.md"
         found[page] = python_reference(package)
-    return found | dict(guides())
+    return found | {TESTS_PAGE: page_of_tests()}
 
 
 if __name__ == "__main__":

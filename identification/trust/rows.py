@@ -96,7 +96,7 @@ ROWS = Words(
     detects="Only printed if rows are doubtful, by position steps that are twice the median "
     "of their four neighbours, or none, where these are over 10 robust deviations",
     limit="`caution`: over 0.1 % of the moving rows are missing or repeated. `ok`: rows "
-    "that [nobody measured](#which-rows-are-fitted), which weigh nothing; or double steps "
+    "that [nobody measured](#rows-and-filters), which weigh nothing; or double steps "
     "next to zero steps: the encoder is slower than the log, or its counts are coarse",
     cases={
         "lost": Case(

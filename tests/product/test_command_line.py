@@ -152,14 +152,14 @@ def test_unexpected_error_is_not_hidden():
 
 
 @pytest.mark.parametrize("package", ["acquisition", "identification"])
-def test_exit_statuses_are_in_help_and_readme(package, capsys):
+def test_exit_statuses_are_in_help_and_guide(package, capsys):
     with pytest.raises(SystemExit) as stopped:
         (acquire if package == "acquisition" else identify)(["--help"])
     assert stopped.value.code == 0
     assert STATUSES in " ".join(capsys.readouterr().out.split())
-    readme = (ROOT / "identification" / "first_session.md").read_text()
+    page = (ROOT / "identification" / "docs" / "start.md").read_text()
     for status in ("0", "1", "2", "3", "130"):
-        assert f"| {status} |" in readme
+        assert f"`{status}` " in page.partition("**Exit status**")[2]
         assert f" {status} " in STATUSES
 
 

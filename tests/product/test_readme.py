@@ -15,7 +15,10 @@ from urdfs import TWO_TURNING
 
 from acquisition.recording import read_recording
 
-SESSION, FORMATS = ROOT / "identification" / "first_session.md", ROOT / "acquisition" / "formats.md"
+FORMATS = ROOT / "acquisition" / "formats.md"
+START, ROBOT, READING = (
+    ROOT / "identification" / "docs" / f"{page}.md" for page in ("start", "robot", "reading-a-fit")
+)
 FOLDERS = ("acquisition", "identification", "replay_data", "tests")
 BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
 ALL = [*BESIDE, *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.md"))]
@@ -49,7 +52,7 @@ def masked(line):
 
 
 def test_commands_without_hardware_run(tmp_path, monkeypatch, capsys):
-    """On the small robot; what the page of the first session shows is of the arm."""
+    """On the small robot; then the fits of both robots that the pages show."""
     for name in ("log.mcap", "other.mcap"):
         shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / name)
     for name in ("robot.toml", "corrected.toml"):
@@ -67,28 +70,23 @@ def test_commands_without_hardware_run(tmp_path, monkeypatch, capsys):
             assert PROGRAMS[program].main(arguments) == 0, command
             run.add(arguments[0])
     assert run == runs
-    capsys.readouterr()
-    shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "log.mcap")
-    assert IDENTIFY.main(["fit", "log.mcap"]) == 0
-    # The beginning of the report; " ..." stands for the rest of a line.
-    shown = (
-        TEXT[SESSION]
-        .split("the recording of the demo prints:\n\n")[1]
-        .split("\n\n")[0]
-        .splitlines()
-    )
-    for line, now in zip(shown, capsys.readouterr().out.splitlines(), strict=False):
-        (words, numbers), (words_now, numbers_now) = (
-            masked(line.strip().removesuffix(" ...")),
-            masked(now.strip()),
-        )
-        assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
-        assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
+    for page, robot in ((START, "scara"), (READING, "tx40")):
+        capsys.readouterr()
+        assert IDENTIFY.main(["fit", str(REPLAY / robot / "session.mcap")]) == 0
+        shown = re.split(r"^    robot-identify fit .*\n\n", TEXT[page], flags=re.MULTILINE)[1]
+        lines = re.match(r"(    .*\n)+", shown)[0].splitlines()
+        assert lines[0].startswith(f"    {robot.upper()}: ")
+        printed = (line for line in capsys.readouterr().out.splitlines() if "──" not in line)
+        # The beginning of the report.
+        for line, now in zip(lines, printed, strict=False):
+            (words, numbers), (words_now, numbers_now) = masked(line.strip()), masked(now.strip())
+            assert words == words_now
+            assert numbers_now == pytest.approx(numbers, rel=0.05)
 
 
 def test_shown_robot_toml_is_valid(tmp_path, capsys):
     """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
-    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[SESSION], flags=re.MULTILINE | re.DOTALL)
+    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[ROBOT], flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "robot.toml").write_text(shown)
     (tmp_path / tomllib.loads(shown)["urdf"]).write_text(TWO_TURNING)
     assert IDENTIFY.main(["base", str(tmp_path / "robot.toml")]) == 0
