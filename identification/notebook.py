@@ -107,12 +107,12 @@ def read_robot(
     BadInputError : no such file, or a value beside a robot.toml, which has a key for it.
     """
     given = {
-        option: tuple(np.atleast_1d(value).tolist())
-        for option, value in (
-            ("--bandwidth-hz", bandwidth_hz),
-            ("--range", position),
-            ("--speed", speed),
-            ("--acceleration", acceleration),
+        name: tuple(np.atleast_1d(value).tolist())
+        for name, value in (
+            ("bandwidth_hz", bandwidth_hz),
+            ("position", position),
+            ("speed", speed),
+            ("acceleration", acceleration),
         )
         if value is not None
     }

@@ -17,23 +17,29 @@ if TYPE_CHECKING:
     from ..export import Chain
 
 _URDF_OPTIONS = {
-    "--range": (
+    "position": (
+        "--range",
         "Q",
         "position limits, ± rad or m; if the URDF has limits too, the narrower are used",
     ),
-    "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
-    "--acceleration": ("A", "maximum acceleration, rad/s² or m/s²"),
-    "--following-error": ("Q", "maximum following error, rad or m"),
-    "--bandwidth-hz": (
+    "speed": (
+        "--speed",
+        "V",
+        "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used",
+    ),
+    "acceleration": ("--acceleration", "A", "maximum acceleration, rad/s² or m/s²"),
+    "following_error": ("--following-error", "Q", "maximum following error, rad or m"),
+    "bandwidth_hz": (
+        "--bandwidth-hz",
         "F",
         "bandwidth of the position loop in Hz; if several are given, the lowest is used",
     ),
 }
 # units of efforts that go with them
 _EFFORTS = {
-    "--ratio": ("A", "N m", "%", "V", "N"),
-    "--drive-gain": ("A", "%", "V"),
-    "--torque-sensor": ("N m",),
+    "ratio": ("A", "N m", "%", "V", "N"),
+    "drive_gain": ("A", "%", "V"),
+    "torque_sensor": ("N m",),
 }
 
 
@@ -55,11 +61,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="joints to identify, from the base outwards (default: the longest serial chain)",
     )
-    for option, (metavar, text) in _URDF_OPTIONS.items():
-        group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
+    for name, (option, metavar, text) in _URDF_OPTIONS.items():
+        group.add_argument(option, dest=name, type=list_of_values, metavar=metavar, help=text)
     group.add_argument(
         "--effort",
-        choices=_EFFORTS["--ratio"][:3],
+        choices=_EFFORTS["ratio"][:3],
         help="unit of the recorded efforts (default with --bus: what the drives give); %% of the "
         "rated torque",
     )
@@ -162,25 +168,23 @@ def _lines_to_fill_in(text: str) -> Iterator[str]:
 def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "Chain":
     """Apply the options that a URDF lacks; refuse those that do not go with the efforts."""
     given = {
-        option: values
-        for option in (*_URDF_OPTIONS, *_EFFORTS)
-        if (values := getattr(options, option[2:].replace("-", "_")))
+        name: values for name in (*_URDF_OPTIONS, *_EFFORTS) if (values := getattr(options, name))
     }
     efforts = _efforts(chain, options, bus)
-    for option, units in _EFFORTS.items():
+    for name, units in _EFFORTS.items():
         COMMAND_LINE.require(
-            option not in given
-            or ({*efforts} & {*units} and not (option == "--ratio" and options.torque_sensor)),
-            option,
-            given.get(option),
+            name not in given
+            or ({*efforts} & {*units} and not (name == "ratio" and options.torque_sensor)),
+            name,
+            given.get(name),
             f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
             "--torque-sensor",
         )
     return replace(
         chain,
         joints=tuple(replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True)),
-        torque_sensors=bool(given.pop("--torque-sensor", False)),
-    ).with_options(given)
+        torque_sensors=bool(given.pop("torque_sensor", False)),
+    ).with_values(given)
 
 
 def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.errors import Location, listed
+from acquisition.errors import COMMAND_LINE, Location, listed
 from acquisition.files import read_bytes
 
 from ..errors import BadInputError
@@ -28,10 +28,7 @@ _NUMBERS = {
     "damping": ("dynamics", "damping"),
     "friction": ("dynamics", "friction"),
 }
-_OPTION_FIELDS = {"--range": "position"} | {
-    f"--{name}": name.replace("-", "_")
-    for name in ("speed", "acceleration", "following-error", "ratio", "drive-gain")
-}
+_OF_JOINTS = "position", "speed", "acceleration", "following_error", "ratio", "drive_gain"
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
@@ -202,54 +199,60 @@ class Chain:
     bandwidth_hz: float | None = None
     torque_sensors: bool = False
 
-    def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
-        """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
+    def with_values(self, given: Mapping[str, Sequence[float]]) -> "Chain":
+        """Return the chain with values that the URDF lacks.
 
-        `position` is ± about zero. The URDF's range and speed still apply; of several values of
-        `bandwidth_hz` the lowest is used.
+        Parameters
+        ----------
+        given : values by name, one for all joints or one for each: `position` (± about zero),
+            `speed`, `acceleration`, `following_error` in rad or m (per s, s²), `ratio`,
+            `drive_gain` as in `UrdfJoint`, and `bandwidth_hz`, of which the lowest is used. The
+            URDF's own position and speed limits still apply.
 
         Raises
         ------
         BadInputError : a wrong number of values, or a range outside the URDF's.
         """
-        joints, n, place = list(self.joints), len(self.joints), Location(self.place)
+        joints, n = list(self.joints), len(self.joints)
         alike = len({joint.type for joint in joints}) == 1
-        for option, values in options.items():
-            place.require(
+        for name, values in given.items():
+            COMMAND_LINE.require(
                 len(values) in (1, n),
-                option,
+                name,
                 values,
-                f"one, or {n} for {', '.join(joint.name for joint in joints)}",
+                f"1 value, or {n} for {', '.join(joint.name for joint in joints)}",
                 shown=f"{len(values)} values",
             )
-            place.require(
-                len(values) == n or alike or option not in _OPTION_FIELDS,
-                option,
+            COMMAND_LINE.require(
+                len(values) == n or alike or name not in _OF_JOINTS,
+                name,
                 values[0],
-                f"{n} values: some joints are in rad, others in m",
+                text="one value cannot be in rad for some joints and in m for others",
+                advice=f"Give {n} values",
             )
-            for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
+            for j, joint in enumerate(joints if name in _OF_JOINTS else ()):
                 value: Any = values[j % len(values)]
-                if option == "--range":
+                if name == "position":
                     value = _intersect_range(joint, value, self.place)
-                elif option == "--speed":
+                elif name == "speed":
                     value = min(joint.speed or value, value)
-                joints[j] = replace(joint, **{_OPTION_FIELDS[option]: value})
+                joints[j] = replace(joint, **{name: value})
         return replace(
             self,
             joints=tuple(joints),
-            bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None),
+            bandwidth_hz=min(given.get("bandwidth_hz", ()), default=None),
         )
 
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
     low, high = joint.position or (-side, side)
     narrowed, unit = (max(low, -side), min(high, side)), "m" if joint.type == "prismatic" else "rad"
-    Location(f"{place}: joint {joint.name!r}").require(
+    COMMAND_LINE.require(
         narrowed[0] < narrowed[1],
-        "--range",
+        "position",
         side,
-        f"a range that overlaps the URDF's, {low:g} to {high:g} {unit}",
+        text=f"does not overlap the limits of joint {joint.name!r} in {place}: {low:g} to {high:g} "
+        f"{unit}",
     )
     return narrowed
 
@@ -268,11 +271,11 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     text = read_bytes(path)
     tree = UrdfTree(text, Location(str(path)))
     for i, name in enumerate(names):
-        tree.place.require(
+        COMMAND_LINE.require(
             name in tree.movable and name not in names[:i],
-            "--joints",
+            "joints",
             name,
-            f"one of {listed(tree.movable)}, each once",
+            f"{listed(tree.movable)}, each at most once",
         )
     chain = list(names) or _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
@@ -323,7 +326,8 @@ def _find_longest(tree: UrdfTree) -> list[str]:
     tree.place.require(
         len(last) == 1,
         text=f"{len(last)} chains of {most} joints each, which end at {listed(last)}",
-        expected="--joints with the joints of one chain",
+        advice="Name the joints of one chain",
+        arguments=("joints",),
     )
     return chains[last[0]]
 

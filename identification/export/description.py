@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.errors import COMMAND_LINE, Location, one_line
+from acquisition.errors import COMMAND_LINE, one_line
 from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 
 from ..model import LINK, InverseModel
@@ -35,18 +35,15 @@ def robot_of_chain(chain: Chain) -> Robot:
 
 
 def read_robot(
-    path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None
+    path: Path, joints: Sequence[str] = (), given: Mapping[str, Sequence[float]] | None = None
 ) -> Robot:
-    """Read the robot of a robot.toml, or of a URDF with `joints` as in `read_chain` and `options`
-    as in `Chain.with_options`.
+    """Read the robot of a robot.toml, or of a URDF with `joints` as in `read_chain` and `given`
+    values as in `Chain.with_values`.
     """
     if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
-        return robot_of_chain(read_chain(path, joints).with_options(options or {}))
-    for option in (*(["--joints"] if joints else []), *(options or {})):
-        Location(str(path)).refuse(
-            text=f"{option.lstrip('-').replace('-', '_')} has no effect",
-            expected="a URDF; robot.toml has a key for it",
-        )
+        return robot_of_chain(read_chain(path, joints).with_values(given or {}))
+    for name in (*(["joints"] if joints else []), *(given or {})):
+        COMMAND_LINE.refuse(name, text="applies to a URDF only", advice=f"Set it in {path}")
     return load_robot(path)
 
 
@@ -57,12 +54,12 @@ def chain_of_letters(letters: str) -> Chain:
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
     COMMAND_LINE.require(
         types and None not in types,
-        "--dh",
+        "dh",
         letters,
-        "a letter for each joint, R or P, such as RRPRRR",
+        "one letter per joint, R or P, such as RRPRRR",
     )
     return Chain(
-        place="--dh",
+        place="dh",
         name="robot",
         text=b"",
         joints=tuple(

@@ -297,12 +297,12 @@ def test_options_and_urdf_limits_combine(here):
     bandwidth for the robot.
     """
     stated = {
-        "--range": (1.0, 3.0, 0.3),
-        "--speed": (2.0, 5.0, 0.2),
-        "--acceleration": (8.0, 9.0, 2.0),
+        "position": (1.0, 3.0, 0.3),
+        "speed": (2.0, 5.0, 0.2),
+        "acceleration": (8.0, 9.0, 2.0),
     }
-    stated["--bandwidth-hz"] = (6.0, 5.0, 7.0)
-    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated))
+    stated["bandwidth_hz"] = (6.0, 5.0, 7.0)
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_values(stated))
     assert [j.si("position") for j in robot.joints] == [
         pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))
     ]
@@ -310,7 +310,7 @@ def test_options_and_urdf_limits_combine(here):
     assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
     assert robot.bandwidth_hz == 5.0
     pair = read_chain(Path("arm.urdf"), ("turn", "lift"))
-    assert [j.acceleration for j in pair.with_options({"--acceleration": (4.0,)}).joints] == [
+    assert [j.acceleration for j in pair.with_values({"acceleration": (4.0,)}).joints] == [
         4.0,
         4.0,
     ]
@@ -321,21 +321,22 @@ def test_options_and_urdf_limits_combine(here):
     [
         (
             "--acceleration 1,2",
-            "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide",
+            "--acceleration = 2 values: expected 1 value, or 3 for turn, lift, slide",
         ),
         (
             "--speed 1",
-            "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m",
+            "--speed = 1.0: one value cannot be in rad for some joints and in m for others. Give 3 "
+            "values.",
         ),
         (
             "--range 1,1,0.1",
-            "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's",
+            "--range = 0.1: does not overlap the limits of joint 'slide' in arm.urdf: 0.1 to 0.4 m",
         ),
         (
             "--joints turn,elbow",
-            "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once",
+            "--joints = 'elbow': expected turn, lift, slide, finger, each at most once",
         ),
-        ("--joints turn,thumb", "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
+        ("--joints turn,thumb", "--joints = 'thumb': expected turn, lift"),
         ("--joints lift,turn", "order of joints = lift, turn: expected turn, lift"),
     ],
 )
@@ -346,7 +347,7 @@ def test_unsuitable_options_refused(here, capsys, given, message):
 def test_urdf_values_refused_with_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
     with pytest.raises(
-        RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"
+        RobotIdimError, match=r"^bandwidth_hz: applies to a URDF only. Set it in robot\.toml"
     ):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
@@ -398,7 +399,10 @@ BAD = (
     ),
     (FLOATING, f"joint 'swing', {BETWEEN}'floating': expected fixed, revolute"),
     (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
-    (TWO_CHAINS, "2 chains of 3 joints each, which end at slide, sway: expected --joints"),
+    (
+        TWO_CHAINS,
+        "3 joints each, which end at slide, sway. Name the joints of one chain (--joints).",
+    ),
     (
         turn('<limit lower="1" upper="-1"/>'),
         "joint 'turn': limit lower = 1.0: expected less than upper = -1",
@@ -602,4 +606,4 @@ def test_conflicting_motor_options_refused(here, capsys):
     ):
         assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
     wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
-    assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
+    assert "--ratio = 2 values: expected 1 value, or 3 for turn, lift, slide" in wrong
