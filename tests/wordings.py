@@ -74,14 +74,17 @@ def lines_of(path: Path) -> Iterator[str]:
         given = dict(zip(POSITIONS[name], arguments, strict=False)) | {
             k.arg: k.value for k in call.keywords
         }
+        says = names.get(x.id, x) if isinstance(x := given.get("expected"), ast.Name) else x
+        if isinstance(says, ast.Tuple):  # a fact and an advice, instead of what is expected
+            given |= dict(zip(("text", "advice", "expected"), (*says.elts, None), strict=True))
         text, expected, advice, arguments = (
             wording(names.get(x.id, x) if isinstance(x := given.get(key), ast.Name) else x)
             for key in ("text", "expected", "advice", "arguments")
         )
         advice = " ".join(filter(None, (advice, arguments)))
-        if fact := ": ".join(filter(None, (text, expected and f"expected {expected}"))):
-            line = f"{fact}. {advice}." if advice else fact
-            yield f"{path.relative_to(ROOT)}: {name}: {line}"
+        fact = ": ".join(filter(None, (text, expected and f"expected {expected}")))
+        if line := " ".join(filter(None, (f"{fact}." if fact and advice else fact, advice))):
+            yield f"{path.relative_to(ROOT)}: {name}: {line}{'.' if advice else ''}"
 
 
 def table() -> str:

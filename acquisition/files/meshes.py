@@ -19,7 +19,7 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
     try:
         visuals = ET.fromstring(urdf).iter("visual")
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
-        at.refuse("urdf", text=f"not valid XML: {error}")
+        at.refuse("urdf", text=f"the file is not valid XML: {error}")
     meshes, size = dict[str, bytes](), 0
     for name in dict.fromkeys(
         mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh")
@@ -28,8 +28,8 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
             find_mesh(name, folder),
             "urdf: mesh",
             name,
-            f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}",
-            text="does not exist",
+            text="the file does not exist, or has another format",
+            advice=f"Put it beside the URDF or in a ROS package, as {', '.join(MESHES)}",
         )
         try:
             size += file.stat().st_size
@@ -37,12 +37,12 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
                 size <= MAX_MESH_BYTES,
                 "urdf: mesh",
                 name,
-                f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes",
-                text=f"{size} bytes of meshes so far",
+                text=f"with it the meshes have {size} bytes, more than {MAX_MESH_BYTES}",
+                advice="Remove urdf_meshes",
             )
             meshes[name] = file.read_bytes()
         except OSError as error:
-            at.refuse("urdf: mesh", name, text=f"cannot be read: {error.strerror}")
+            at.refuse("urdf: mesh", name, text=f"the file cannot be read: {error.strerror}")
     return meshes
 
 

@@ -107,8 +107,8 @@ def _read(path: Path) -> tuple[bytes, Location, bool]:
     data = read_bytes(path)
     place.require(
         not data.startswith((b"MATLAB 7.3", b"\x89HDF")),
-        text="a MAT file of version 7.3 (HDF5)",
-        expected="version 7; save it with -v7",
+        text="this MAT file has the version 7.3 (HDF5)",
+        advice="Save it with -v7",
     )
     return data, place, data.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
 
@@ -126,7 +126,7 @@ def _parse_csv(
         text = data.decode("cp1252", errors="replace")  # Windows in western Europe
     text = text.replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    place.require(lines, text="has no lines", expected="a table")
+    place.require(lines, text="the file is empty")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
         del lines[0]  # a remark above the header
     scope = [
@@ -162,11 +162,11 @@ def _parse_csv(
         found = len(line.split()) if separator is None else line.count(separator) + 1
         if found != len(names):  # of each of many lines: no message is made before
             Location(f"{place}: line {k}").refuse(
-                text=f"{found} cells",
-                expected=f"{len(names)}, as in line {lines[0][0]}, the names of the columns; "
-                "delete lines above them",
+                text=f"it has {found} cells, but line {lines[0][0]}, the column names, has "
+                f"{len(names)}",
+                advice="Delete lines above the column names",
             )
-    place.require(rows, text="has no rows", expected="numbers below the header")
+    place.require(rows, text="the table has no numbers below its header")
     return names, has_header, separator, rows
 
 
@@ -206,14 +206,14 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Loc
     if isinstance(column, int):
         place.require(
             1 <= column <= len(names),
-            text=f"column {column}",
-            expected=f"a number from 1 to {len(names)}",
+            text=f"column {column} does not exist",
+            expected=f"1 to {len(names)}",
         )
         return column - 1
     place.require(
         has_header,
-        text=f"column {column!r}: the file has no header line",
-        expected=f"numbers from 1 to {len(names)}",
+        text=f"column {column!r} does not exist: the file has no header line",
+        advice=f"Give numbers of columns, 1 to {len(names)}",
     )
     found = "does not exist" if column not in names else f"exists {names.count(column)} times"
     place.require(
@@ -245,14 +245,14 @@ def _mat_columns(
     sizes = [f"{name} {_size(part)}" for name, (part, _) in zip(names, parts, strict=True)]
     place.require(
         rows >= 2 and not rest and all(fits),
-        text=", ".join(sizes),
+        text=f"the variables do not fit together: {', '.join(sizes)}",
         expected=f"variables of one length, {count} columns in all",
     )
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
         Location(f"{place}: {shown}").require(
             part.shape != (rows, rows) or upright,
-            text="samples may be rows or columns",
-            expected=f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
+            text="its samples may be rows or columns",
+            advice=f"Write '{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if "
             "columns are",
         )
     turned = [part if len(part) == rows else part.T for part, _ in parts]
@@ -277,7 +277,7 @@ def _load(data: bytes, place: Location, names: Sequence[str] | None = None) -> d
                 scipy.io.loadmat(io.BytesIO(data), variable_names=names and [*dict.fromkeys(names)])
             )
     except Exception as error:  # scipy raises errors of any kind on a damaged file
-        place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
+        place.refuse(text=f"the MAT file cannot be read: {error or type(error).__name__}")
 
 
 def _walk(variables: dict[str, Any], path: str, place: Location) -> Any:
@@ -322,14 +322,14 @@ def _part(value: Any, match: re.Match[str], place: Location) -> tuple[Array, boo
     by_column = match["rows"] == ":"
     place.require(
         by_column != (match["columns"] == ":"),
-        text=f"variable {name!r}",
-        expected="(:,k) for columns or (k,:) for rows",
+        text=f"variable {name!r} selects neither columns nor rows",
+        expected="(:,k) for columns, or (k,:) for rows",
     )
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, size = int(first), int(last or first), matrix.shape[1 if by_column else 0]
     place.require(
         1 <= low <= high <= size,
-        text=f"variable {name!r}: the matrix is {_size(matrix)}",
+        text=f"variable {name!r} exceeds the matrix, which is {_size(matrix)}",
         expected=f"1 to {size}",
     )
     return matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T, True
@@ -344,7 +344,7 @@ def _present(data: bytes, place: Location) -> str:
     try:
         return listed([*_leaves(_load(data, place))])
     except BadInputError:  # scipy cannot skip objects of MATLAB's classes
-        return "the file's variables (they cannot be listed, because one of them is an object)"
+        return "the variables of the file (not listed, because one of them is an object)"
 
 
 def _leaves(variables: dict[str, Any]) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        Location(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+        Location(str(path)).refuse(text=f"the file cannot be read: {error.strerror}")
 
 
 def kind_of(path: Path) -> str:
@@ -76,14 +76,14 @@ def atomic_write(path: Path) -> Iterator[Path]:
     its folder is missing or not writable, or the disk is full.
     """
     place = Location(str(path))
-    place.require(path.name, text="cannot be written", expected="the name of a file")
+    place.require(path.name, text="the path has no file name")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         # Renaming onto /dev/null would replace the device.
         place.require(
             not path.exists() or path.is_file(),
-            text="cannot be written",
-            expected="a file, found a folder or a device",
+            text="a folder or a device cannot be replaced by a file",
+            advice="Choose the name of a file",
         )
         yield partial
         _refuse_other_kind(path, kind_of(partial))
@@ -91,7 +91,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        place.refuse(text=f"cannot be written: {error.strerror or error}")
+        place.refuse(text=f"the file cannot be written: {error.strerror or error}")
     finally:
         # the folder may be missing or be a file: reported by the error above
         with suppress(OSError):
@@ -108,7 +108,7 @@ def refuse_clash(
     inputs: Sequence[Path | None],
     *outputs: Path | None,
     overwrite: bool | None = None,
-    option: str = "-o",
+    option: str = "output",
     of_kinds: Mapping[str, Path | None] | None = None,
 ) -> None:
     """Raise `BadInputError` if writing one of `outputs` or `of_kinds` would replace one of
@@ -116,8 +116,8 @@ def refuse_clash(
 
     None stands for a file that was not asked for. Links to one file count as that file.
     `overwrite`: whether recordings may be replaced, by the option of that name; None if a command
-    does not have it. `option` names the output. `of_kinds` are outputs by their kind, which is the
-    ending of the other `outputs`.
+    does not have it. `option` is the argument of the output. `of_kinds` are outputs by their kind,
+    which is the ending of the other `outputs`.
     """
     named = [
         *((path.suffix.lower()[1:], path) for path in outputs if path is not None),
@@ -128,17 +128,19 @@ def refuse_clash(
         for path in inputs:
             place.require(
                 path is None or not _same(output, path),
-                text=f"is an input too ({path})",
-                expected="another name for the output",
+                text=f"the output is also an input ({path})",
+                advice="Choose another name for the output",
             )
         place.require(
             not any((_same(output, earlier) for _, earlier in named[:k])),
-            text="named twice; expected a different file for each output",
+            text="two outputs have this name",
+            advice="Choose a different file for each output",
         )
         place.require(
             overwrite or not output.is_file() or (not is_recording(output)),
-            text="already exists and is a recording",
-            expected="another name" if overwrite is None else f"another {option}, or --overwrite",
+            text="the file already exists and is a recording",
+            advice="Choose another name" + " or replace it" * (overwrite is not None),
+            arguments=() if overwrite is None else (option, "overwrite"),
         )
         if kind and kind in NAMES:
             _refuse_other_kind(output, kind)
@@ -148,8 +150,8 @@ def _refuse_other_kind(path: Path, kind: str) -> None:
     """Raise `BadInputError` if a file exists that is not empty and not of this kind."""
     if path.is_file() and path.stat().st_size and (found := kind_of(path)) != kind:
         Location(str(path)).refuse(
-            text=f"already exists and is {NAMES[found]}, not {NAMES[kind]}",
-            expected="another name for the output",
+            text=f"the file already exists and is {NAMES[found]}, not {NAMES[kind]}",
+            advice="Choose another name for the output",
         )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import BadInputError, Location, listed
+from ..errors import COMMAND_LINE, BadInputError, Location, listed
 from ..files import by_rows, taken
 from ..recording import JOINT_STATE, Header, in_gaps
 from ..robot import Payload, Robot
@@ -32,14 +32,14 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
 # What to do about a reader's error.
 _WAYS_OUT = (
-    ("metadata|YAML|Some database files", "a whole folder: `ros2 bag reindex FOLDER` repairs it"),
+    ("metadata|YAML|Some database files", "Repair the folder: `ros2 bag reindex FOLDER`"),
     (
         "end magic|Truncated|seems to be empty|footer|Invalid argument",
-        "a whole file: `mcap recover CUT.mcap -o WHOLE.mcap` keeps what was written",
+        "Recover what was written: `mcap recover CUT.mcap -o WHOLE.mcap`",
     ),
-    ("Profile is not", "a ROS 2 bag, which `mcap merge` makes with --profile ros2"),
-    ("database", "a whole file: `sqlite3 CUT.db3 .recover | sqlite3 WHOLE.db3` keeps what is left"),
-    ("", "a ROS 2 bag: a folder, .mcap or .db3"),
+    ("Profile is not", "Make it a ROS 2 bag: `mcap merge --profile ros2`"),
+    ("database", "Recover what is left: `sqlite3 CUT.db3 .recover | sqlite3 WHOLE.db3`"),
+    ("", "Import a ROS 2 bag: a folder, .mcap or .db3"),
 )
 
 
@@ -94,16 +94,16 @@ def import_bag(
     refuse_several_publishers(parts["position"], parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
-        warnings.append("velocities that are not finite numbers are left out")
+        warnings.append("some velocities are not finite, so no velocities are imported")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
     grid = grid_of_new_rows(time_s, parts, place, options.resample_hz) or with_warnings(
         resample(time_s, parts, rate_hz=options.resample_hz, place=place),
         time_s,
         parts["position"],
-        "times of reception" if received else "header stamps",
-        "record a topic that the robot's own clock stamps, or import a table whose map states "
-        "sample_rate_hz",
+        "reception times" if received else "header timestamps",
+        "record a topic with timestamps of the robot's own clock, or import a table whose map "
+        "gives sample_rate_hz",
     )
     grid, reference = replace(grid, first_ns=first_ns), dict[str, str]()
     try:
@@ -114,7 +114,7 @@ def import_bag(
     except BadInputError as error:
         if options.reference_topic:
             raise
-        warnings.append(f"no reference: {error}")
+        warnings.append(f"no reference is imported: {error}")
     return replace(
         write_samples(
             Header(
@@ -144,8 +144,9 @@ def _only_controller(
     found = [topic for topic, states in controllers.items() if {*joints} <= {*states.names}]
     place.require(
         len(found) <= 1,
-        expected="one of them in --topic, after a comma",
-        text=f"has the references {listed(found)}",
+        text=f"several controllers publish a reference: {listed(found)}",
+        advice="Name one of them, after the topic and a comma",
+        arguments=("topic",),
     )
     return next(iter(found or controllers), None)
 
@@ -160,8 +161,8 @@ def _with_reference(
     states.place.require(
         own_received == received,
         "time",
-        expected="stamps in the headers of both topics",
-        text="only one has them",
+        text="only one of the two topics has timestamps in its headers",
+        advice="Record both topics with timestamps in the headers",
     )
     own_s, rows, report = rows_to_interpolate(
         np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9)),
@@ -173,8 +174,9 @@ def _with_reference(
     states.place.require(
         inside.any(),
         "time",
-        expected="some within the joint states",
-        text=f"from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first joint state",
+        text=f"the reference lasts from {own_s[0]:.6g} s to {own_s[-1]:.6g} s after the first "
+        "joint state, outside the joint states",
+        advice="Record both topics at the same time",
     )
     at = np.flatnonzero(inside)
     time_s = time_s[at]
@@ -197,30 +199,29 @@ def _effort(
     robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Location
 ) -> tuple[Array, str, str]:
     """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
-    effort = place.given(
-        effort, expected="measured torques or currents in them", text="messages have no effort"
-    )
+    advice = "Record a topic with measured torques or currents"
+    effort = place.given(effort, text="the messages contain no efforts", advice=advice)
     place.require(
         effort.any(),
         "effort",
-        expected="measured efforts; this driver does not publish them",
-        text="is zero in all rows",
+        text="all values are 0, because this driver does not publish efforts",
+        advice=advice,
     )
     units, factors = si_units(
         tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1),
         robot.n,
         EFFORT_UNITS,
-        "--effort-unit",
-        place,
+        "effort_unit",
+        COMMAND_LINE,
     )
     at_joint = all(unit in ("N m", "N") for unit in units)
     if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
-    side = effort_side(robot, units, "joint" if at_joint else "motor", "--effort-unit", place)
+    side = effort_side(robot, units, "joint" if at_joint else "motor", "effort_unit", COMMAND_LINE)
     what = f"{', '.join(effort_unit)} at the {side}"
     return (
         by_rows(lambda x: effort_at_joint(robot, x * factors, side)[0], effort),
-        f"effort of {place}: {what}, as stated; "
+        f"effort of {place}: {what}, as given; "
         + effort_at_joint(robot, effort[:1] * factors, side)[1],
         what,
     )
@@ -235,8 +236,9 @@ def _storage(path: Path) -> Path:
     )
     Location(str(path)).require(
         len(files) <= 1,
-        text=f"cannot be read: no metadata.yaml; it has {listed([x.name for x in files])}",
-        expected=f"`ros2 bag reindex {path}` first, or the name of one of them",
+        text=f"the folder has no metadata.yaml, but several files: "
+        f"{listed([x.name for x in files])}",
+        advice=f"Run `ros2 bag reindex {path}` first, or import one of the files",
     )
     return files[0] if files else path
 
@@ -283,8 +285,9 @@ def _read(
     except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
         told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
         Location(str(path)).refuse(
-            expected=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
-            text=f"cannot be read{f' after {parts.count} messages' if parts.count else ''}: {told}",
+            text=f"the bag cannot be read"
+            f"{f' after {parts.count} messages' if parts.count else ''}: {told}",
+            advice=next(way for pattern, way in _WAYS_OUT if re.search(pattern, told)),
         )
     return parts, controllers, topic
 
@@ -295,10 +298,14 @@ def _topic_of(kind: str, topic: str, types: dict[str, str], place: Location) -> 
     if topic in found or (not topic and len(found) == 1):
         return topic or found[0]
     place.refuse(
-        expected=f"topic of {kind}; it has {listed(found or [*types])}",
-        text=f"has {len(found)} topics of joint states"
-        if not topic
-        else f"topic {topic} has type {types[topic]}"
-        if topic in types
-        else f"topic {topic} does not exist",
+        text=(
+            f"the bag has {len(found)} topics of joint states"
+            if not topic
+            else f"topic {topic} has the type {types[topic]}"
+            if topic in types
+            else f"topic {topic} does not exist"
+        )
+        + f" ({listed(found or [*types])})",
+        advice=f"Choose a topic of type {kind}",
+        arguments=("topic",),
     )

@@ -93,15 +93,15 @@ def packets(
     interfaces: list[int] = []  # ticks per second, 0 of others than Ethernet
     place.require(
         len(data) >= 24 and (ns or data[:4] == _BLOCKS),
-        text="is no capture",
+        text="the file is not a capture",
         expected="pcap or pcapng",
     )
     if ns:
         link, at = struct.unpack(f"{order}I", data[20:])[0] & 0xFFFF, 24
         place.require(
             link == _ETHERNET,
-            text=f"link type {link}",
-            expected="1 (Ethernet): capture on the interface, not on 'any'",
+            text=f"the capture has the link type {link}, not 1 (Ethernet)",
+            advice="Capture on the network interface, not on 'any'",
         )
     problem, later = "", np.zeros((0, 3), np.int64)  # packets that others may come before
     while not problem:
@@ -109,7 +109,7 @@ def packets(
         used = int(later[:, 1].min(initial=at))
         before, data, at = before + used, data[used:] + new, at - used
         later[:, 1] -= used
-        problem = "" if new else "cut within a packet"
+        problem = "" if new else "the file ends within a packet"
         unpack = struct.Struct(f"{order}IIII").unpack_from
         while at + 16 <= len(data):
             if ns:
@@ -121,7 +121,7 @@ def packets(
                     unpack = struct.Struct(f"{order}IIII").unpack_from
                 kind, size, which, high = unpack(data, at)
                 wrong = size < 12 or size % 4 > 0 or size > _MAX_BLOCK
-            problem = "damaged" if wrong else problem
+            problem = "the file is damaged" if wrong else problem
             if wrong or at + size > len(data):
                 break
             if ns:
@@ -135,7 +135,7 @@ def packets(
                     found.append((time_ns, at + 28, length))
             at += size
         if problem and at < len(data):
-            warnings.append(f"{problem} at byte {before + at}: what is before it is read")
+            warnings.append(f"{problem} at byte {before + at}: only what precedes it is imported")
         now, later = _in_order(
             np.append(later, np.array(found, np.int64).reshape(-1, 3), 0), max_back_ns
         )
@@ -222,9 +222,9 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
             found.append([])
         COMMAND_LINE.require(
             found[-1] and all(0 < bits < 2**14 for _, bits in found[-1]),
-            "--mapping",
+            "mapping",
             text,
-            "such as 0x6041:16,0x6064:32,0x6077:16",
+            "objects with their bits, such as 0x6041:16,0x6064:32,0x6077:16",
         )
     return found
 
@@ -380,7 +380,7 @@ def _places(station: int, registers: bytes, entries: Entries, way: Way) -> Locat
     bits = sum(bits for _, bits in entries)
     if entries and bits != 8 * size:
         raise ValueError(
-            f"station {station}: {way[1]:04X} maps {bits} bits, sync manager {way[0]} has "
+            f"station {station}: {way[1]:04X} maps {bits} bits, but sync manager {way[0]} has "
             f"{8 * size}"
         )
     return {

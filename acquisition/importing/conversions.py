@@ -70,8 +70,8 @@ def import_recording(
         return import_capture(BytesIO(recording.capture), header, bus, Location(str(path)), out)
     Location(str(path)).require(
         recording.frames,
-        text="holds no frames and is not cut off",
-        expected="a recording of drives",
+        text="the recording contains no frames, and it is not truncated",
+        advice="Choose a recording of drives, or a truncated one",
     )
     frames = max(recording.frames.values(), key=len)
     decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
@@ -87,7 +87,7 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
     samples = recording.samples
     Location(str(path)).require(
         samples is not None or recording.frames or recording.capture,
-        text="holds no samples and no frames before its cut: nothing can be repaired",
+        text="the recording is truncated before its first sample or frame",
     )
     header = replace(
         recording.header, notes={**recording.metadata, "recovered_from": recording.sha256}
@@ -102,7 +102,7 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
                 return ImportSummary(out=out, warnings=found.warnings)
             warnings = (f"{NO_SAMPLES}{found.no_samples}",)
             if samples is not None:
-                text = f"{found.no_samples}; the {len(samples)} samples before the cut are copied"
+                text = f"{found.no_samples}; the {len(samples)} samples before the end are copied"
                 writer.event(end_ns, "warning", text)
                 warnings = (text,)
         if samples is not None:
@@ -170,16 +170,16 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
     }
     Location(str(path)).require(
         names,
-        text=f"holds no CAN frames{f' ({listed([*counts.values()])})' if counts else ''}",
-        expected="some of classic CAN",
+        text=f"the log contains no frames of classic CAN"
+        f"{f' ({listed([*counts.values()])})' if counts else ''}",
     )
     Location(str(path)).require(
         len(names) == 1 or channel in names,
-        text=f"frames: {listed([*counts.values()])}",
-        expected=f"one of {listed([*map(repr, names)])} as bus.channel in robot.toml",
+        text=f"the log contains frames of several channels: {listed([*counts.values()])}",
+        advice=f"Set bus.channel in robot.toml to one of {listed([*map(repr, names)])}",
     )
     used = channel if len(names) > 1 else next(iter(names))
-    told = f"frames of {names[used]} are used; " if len(names) > 1 else ""
+    told = f"only the frames of {names[used]} are imported; " if len(names) > 1 else ""
     left_out = [text for what, text in counts.items() if what != used]
     return frames[used], (f"{told}left out: {listed(left_out)}",) * bool(left_out)
 
@@ -197,14 +197,16 @@ def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str
         warnings += _go_on(time_ns, Traffic(frames).rows_of(bus.sync_can_id), Location(place))
         if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
             warnings.append(
-                f"times step back at {back} frames: all are put in the order of their times"
+                f"{back} frames were out of order: all frames are sorted by their times"
             )
         order = np.argsort(time_ns, kind="stable")
         rows = by_rows(lambda some: frames[some], order)
         rows["time_ns"] = time_ns[order]
     echoes = _echoes(rows, bus)
     if len(echoes):
-        warnings.append(f"{len(echoes)} frames recorded as sent and again as received count once")
+        warnings.append(
+            f"{len(echoes)} frames are recorded as sent and again as received: they count once"
+        )
         rows = taken(rows, np.delete(np.arange(len(rows)), echoes))
     return rows, tuple(warnings)
 
@@ -223,14 +225,14 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
                 np.append(0, np.cumsum(np.sign(size[wraps]))),
                 np.diff(jumps[wraps] + 1, prepend=0, append=len(time_ns)),
             )
-            yield f"times wrapped after {text}: later ones are shifted forward"
+            yield f"the time counter wrapped after {text}: later times are shifted forward"
     for k, by_ns, since_ns in steps_back(time_ns[syncs]):
         row = syncs[k] + 1 + int(np.argmin(np.diff(time_ns[syncs[k] : syncs[k + 1] + 1])))
         step = f"back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s"
         place.require(
             by_ns <= min(_MAX_SET_NS, _MAX_SET_SHARE * since_ns),
             text=f"times step {step}, at frame {row + 1}",
-            expected=ONE_CLOCK,
+            advice=ONE_CLOCK,
         )
         time_ns[row:] += by_ns
         yield f"the clock was set {step}: later times are shifted forward"

@@ -205,17 +205,16 @@ def _on_grid(
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
     warnings += holding(
         {
-            "no reference: the targets are not mapped, or not in frames on their way out": (
-                not has_reference
-            ),
-            "no answer of a slave is in it: what was written to map objects counts": (
+            "no reference is imported: the targets are not mapped, or frames to the slaves were "
+            "not captured": not has_reference,
+            "the capture contains no answers of slaves: the mapping is what the master wrote": (
                 process.unanswered
             ),
-            f"{process.short} cycles with a working counter below the full one are left out": (
+            f"{process.short} cycles with an incomplete working counter are left out": (
                 process.short
             ),
-            f"{uncertain} rows beside lost or late frames are left out: their cycle or target is "
-            "uncertain": uncertain,
+            f"{uncertain} rows beside lost or late frames are left out, because their cycle or "
+            "target is uncertain": uncertain,
         }
     )
     steps = np.diff(number)
@@ -228,8 +227,8 @@ def _on_grid(
         rows,
         chosen,
         max(0, start_ns) + np.rint(number * period_ns).astype(np.int64),
-        f"{'distributed clocks' if clock else 'stamps of the capture'}: "
+        f"{'distributed clocks' if clock else 'timestamps of the capture'}: "
         f"{1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, "
-        f"{process.doubled or 'no'} doubled rows",
+        f"{process.doubled or 'no'} duplicate rows",
         has_reference,
     )

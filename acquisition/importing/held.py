@@ -53,8 +53,8 @@ def grid_of_new_rows(
     rows = np.flatnonzero(np.r_[True, new])
     at_s, own_hz = _times_of_source(time_s[rows], float(np.median(np.diff(time_s))))
     text = (
-        f"the log is faster than its robot: each row stands {len(q) / len(rows):.2g} times, as "
-        f"positions are new at {own_hz:.6g} Hz; of {len(q)} rows only these {len(rows)} are kept"
+        f"the log is faster than the robot: it repeats each position {len(q) / len(rows):.2g} "
+        f"times (new ones come at {own_hz:.6g} Hz), so only {len(rows)} of {len(q)} rows are kept"
     )
     return replace(
         resample(

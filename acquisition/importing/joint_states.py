@@ -19,7 +19,7 @@ WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
 MIN_NYQUIST_RATIO = 100.0
 # of the windows, of the rows; more are of two publishers
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01
-ONE_PUBLISHER = "one publisher: record the topic of the arm's own driver, or stop the other node"
+ONE_PUBLISHER = "Record the topic of the arm's own driver, or stop the other publisher"
 MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
@@ -64,7 +64,8 @@ class JointStates:
             content = np.asarray(getattr(message, kind, ()), "<f8")
             if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
                 self._refuse_message(
-                    f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name"
+                    f"it has {len(content)} values of {kind} for {len(source[1])} names",
+                    "Record a topic with one value for each name",
                 )
             row += content[places].tobytes() if len(content) else self._without
             self._given[kind] += len(content) > 0
@@ -78,18 +79,18 @@ class JointStates:
             return None
         if missing:
             self._refuse_message(
-                f"joints {listed(missing)} missing in {listed(names)}",
-                "all joints of robot.toml in each message, by their names there",
+                f"the joints {listed(missing)} are missing; it has {listed(names)}",
+                "Use the joint names of the messages in robot.toml",
             )
         if self._source is not None and source[0] != self._source[0]:
             self._refuse_message(
-                f"messages of several publishers: frame {source[0]!r} after {self._source[0]!r}",
+                f"several publishers sent messages: frame {source[0]!r} after {self._source[0]!r}",
                 ONE_PUBLISHER,
             )
         return [names.index(joint) for joint in self._joints]
 
-    def _refuse_message(self, problem: str, expected: str) -> NoReturn:
-        Location(f"{self.place}: message {self.count}").refuse(expected=expected, text=problem)
+    def _refuse_message(self, problem: str, advice: str) -> NoReturn:
+        Location(f"{self.place}: message {self.count}").refuse(text=problem, advice=advice)
 
     def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
         """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
@@ -100,21 +101,24 @@ class JointStates:
         rows = np.frombuffer(self._rows.whole(), self._layout)
         self.place.require(
             len(rows),
-            expected=f"the joints {listed(self._joints)} of robot.toml",
-            text=f"has {listed(self.names)}" if self.names else "has no messages",
+            text=f"the messages have the joints {listed(self.names)}"
+            if self.names
+            else "the topic has no messages",
+            advice=f"Record a topic with the joints of robot.toml: {listed(self._joints)}",
         )
         stamps, count = rows["stamp"].astype(np.int64), len(rows)
         received = not stamps.any()
         # a clock that begins at 0 gives the first stamp 0
         if not received and not stamps[1:].all():
             Location(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}").refuse(
-                expected="stamps in all headers or in none", text="a header without a stamp"
+                text="its header has no timestamp, but other headers have one",
+                advice=ONE_PUBLISHER,
             )
         for kind, given in self._given.items():
             self.place.require(
                 given in (0, count),
-                expected=f"{kind} in all or in none",
-                text=f"{kind} in {given} of {count} messages",
+                text=f"only {given} of {count} messages have values of {kind}",
+                advice=ONE_PUBLISHER,
             )
         arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
         needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
@@ -124,8 +128,8 @@ class JointStates:
             _refuse_infinite(kind, x, first, self._joints, self.place)
         self.place.require(
             self._changes <= 1 + MAX_CHANGES * count,
-            expected=ONE_PUBLISHER,
-            text=f"the names or their order change {self._changes} times in {count} messages",
+            text=f"the joint names or their order change {self._changes} times in {count} messages",
+            advice=ONE_PUBLISHER,
         )
         return (
             (rows["received"].astype(np.int64) if received else stamps)[first:],
@@ -133,16 +137,15 @@ class JointStates:
             {kind: x[first:] for kind, x in arrays.items()},
             holding(
                 {
-                    "headers have no stamps: times are those of reception, which jitter more": (
-                        received
-                    ),
-                    f"{topic} has {self.publishers} publishers (connections or QoS profiles): "
-                    "record it with one": self.publishers > 1,
-                    f"{self._others} messages without any of the joints are left out": self._others,
-                    f"the names or their order change {self._changes} times: joints go by their "
-                    "names": self._changes,
-                    f"{first} states at the start are left out: a position or an effort is nan "
-                    "there": first,
+                    "the headers have no timestamps: reception times are used, which jitter "
+                    "more": received,
+                    f"{topic} has {self.publishers} publishers (connections or QoS profiles), so "
+                    "rows may be mixed: record it with one publisher": self.publishers > 1,
+                    f"{self._others} messages without any of the joints are ignored": self._others,
+                    f"the joint names or their order change {self._changes} times: values are "
+                    "assigned to joints by name": self._changes,
+                    f"the first {first} states are left out, because a position or an effort is "
+                    "nan": first,
                 }
             ),
         )
@@ -157,8 +160,8 @@ def _refuse_infinite(
         place.require(
             some.any(),
             f"{kind} of joint {name}",
-            expected="measured positions and efforts",
-            text="is no number in any row",
+            text="no row has a number",
+            advice="Record measured positions and efforts",
         )
     if not finite[first:].all():
         row, joint = np.argwhere(~finite[first:])[0] + [first, 0]
@@ -179,18 +182,17 @@ def refuse_several_publishers(
     if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
         place.refuse(
             "effort",
-            expected=ONE_PUBLISHER,
-            text=f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours "
-            "have",
+            text=f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours do",
+            advice=ONE_PUBLISHER,
         )
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating_share(x)
         place.require(
             share.max() <= MAX_ALTERNATING,
             f"{key} of joint {joints[int(share.argmax())]}",
-            expected=ONE_PUBLISHER,
             text="every other row differs from its neighbours in "
             f"{100 * share.max():.2g} % of the time",
+            advice=ONE_PUBLISHER,
         )
 
 

@@ -38,8 +38,8 @@ _ORDER = 15  # stamps before and after one that must not contradict it
 _MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 _MAPPING = (
-    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its "
-    "inputs, gaps as 0:BITS"
+    "Capture from the start of the bus, or give all inputs of each slave in bus order, such as "
+    "0x6041:16,0x6064:32,0x6077:16, with gaps as 0:BITS"
 )
 
 # by quantity and drive: byte in a part, and type
@@ -141,7 +141,7 @@ class ProcessData:
         """Where the drives' objects are, each in its `station` or the next slave with its position;
         empty if not yet known.
         """
-        self._why = "no mapping of inputs is in it"
+        self._why = "no mapping of inputs was captured"
         try:
             objects = self._objects()
         except ValueError as error:  # the master may not have written all of it yet
@@ -156,9 +156,9 @@ class ProcessData:
                 names = [f"{index:04X}:{sub}" for index, sub in objects[station][0]]
                 self._place.require(
                     8 * at[1] == entry.bits,
-                    text=f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not "
-                    "among its inputs",
-                    expected=f"one of {listed(names)} in robot.toml",
+                    text=f"station {station} ({drive.name}) has no input {entry} of "
+                    f"{entry.bits} bits",
+                    advice=f"Name one of its inputs in robot.toml: {listed(names)}",
                 )
                 self._add_field(inputs, (name, i), entry, at, (LRD, LRW))
             at = objects[station][1].get(drive.target.key, (0, 0))
@@ -181,7 +181,7 @@ class ProcessData:
             if not objects.get(station, ({}, {}))[0]:
                 where = "a further slave" if station == -1 else f"station {station}"
                 if free:
-                    self._why = f"no mapping of {where} for {drive.name} is in it"
+                    self._why = f"the mapping of {where} for {drive.name} was not captured"
                 return
             free = free[free.index(station) + 1 :] if station in free else free
             yield station
@@ -217,13 +217,12 @@ class ProcessData:
             return slaves.located(self._mapping)
         if station := next(filter(None, (file.station for file in self._bus.file.drive)), None):
             raise ValueError(
-                f"no addresses beside --mapping, but robot.toml states station {station}: leave it "
-                "out"
+                f"robot.toml gives station {station}, but the capture contains no addresses"
             )
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
         fits = (x for x in self._seen if x.command != LWR and 8 * x.size == sum(bits))
         if (part := next(fits, None)) is None:
-            raise ValueError(f"--mapping has {sum(bits)} bits")
+            raise ValueError(f"no datagram has the {sum(bits)} bits of the given mapping")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
         return {
             -k: ({key: (part.address + at, n) for key, at, n in slave}, {})
@@ -246,9 +245,9 @@ class ProcessData:
         station = self._slaves[True].contradicts(self._slaves[False])
         self._place.require(
             station is None,
-            text=f"the configuration of station {station} that came back is not the one that "
-            "went out",
-            expected="an undamaged capture of one start of the bus",
+            text=f"the configuration of station {station} that came back differs from the one "
+            "that was sent",
+            advice="Import an undamaged capture of one start of the bus",
         )
         inputs = [part for part in self._fields if part.back]
         if not inputs or not all(self._columns[part].tell() for part in inputs):
@@ -264,7 +263,7 @@ class ProcessData:
             self._place.require(
                 by_ns <= MAX_BACK * self._bus.period_ns,
                 text=f"times step back by {by_ns * 1e-9:.3g} s at {since_ns * 1e-9:.4g} s",
-                expected=ONE_CLOCK,
+                advice=ONE_CLOCK,
             )
         joined, begin = GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
@@ -349,17 +348,18 @@ class ProcessData:
         )
         self._place.require(
             any(part.back for part in self._seen),
-            text=f"no process data come back from the slaves; it has {shown}",
-            expected="a bus in operation, both directions: capture on the master's own interface",
+            text=f"no process data came back from the slaves; the capture has {shown}",
+            advice="Capture both directions at the master while the bus is operational",
         )
         self._place.require(
             self._fields,
-            text=f"{self._why}{self._slaves[True].problem}; it has {shown}",
-            expected=f"a capture from the start of the bus, or {_MAPPING}",
+            text=f"{self._why}{self._slaves[True].problem}; the capture has {shown}",
+            advice=_MAPPING,
+            arguments=("mapping",),
         )
         self._place.refuse(
-            text=f"no row of all drives with full working counters in {shown}",
-            expected="a bus in operation",
+            text=f"no cycle has full working counters for all drives; the capture has {shown}",
+            advice="Capture while the bus is operational",
         )
 
 

@@ -143,8 +143,8 @@ def _columns(
                 len(column.texts) <= 1,
                 f"column {column.key}",
                 ", ".join(column.texts[:3]),
-                "a column for each joint, and rows of one source; rename what is no joint",
-                text="names of joints change between rows",
+                text="the joint names change between rows",
+                advice="Give each joint a column of its own, or rename a column of other names",
             )
         if "current" in words and {"position", "velocity"} & {*words}:
             words["measured"] = words.pop("current")  # the current position, of now
@@ -154,7 +154,7 @@ def _columns(
         if not (other or np.isnan(column.x).any()):
             unit = stated and re.sub("[·_]", "", stated[stated.lastindex or 0].strip().lower())
             found.append(_Column(**vars(column), words=words, label=label, unit=unit))
-    place.require(found, text="has no columns of numbers", expected="a table")
+    place.require(found, text="the table has no columns of numbers")
     return [replace(c, joint=told.get(c.label, "")) for c in found]
 
 

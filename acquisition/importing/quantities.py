@@ -93,7 +93,7 @@ class Source:
             number <= len(self.tables),
             key,
             number,
-            f"{len(self.tables)} at most, the number of tables given",
+            f"at most {len(self.tables)}, the number of tables",
         )
         return self.tables[number - 1]
 
@@ -122,10 +122,13 @@ class Source:
             known if quantity.unwrap else not jumps.any(),
             f"{key}.unwrap",
             quantity.unwrap,
-            "true" if known else "angles over all turns, or of the joint at a higher rate",
-            text=f"angles jump by a turn before row {np.argmax(jumps) + 2}"
+            text=f"the angles jump by a turn before row {np.argmax(jumps) + 2}"
             if jumps.any()
-            else "turns cannot be counted: of a motor with a ratio, or steps above 90 deg",
+            else "the turns of a geared motor, or of angles with steps above 90 deg, cannot be "
+            "counted",
+            advice="Set it to true"
+            if known
+            else "Record angles over all turns, or joint angles at a higher rate",
         )
         near_0 = unwrapped - TURN * np.rint(np.median(unwrapped, axis=0) / TURN)
         return np.where(angles, near_0, x) if quantity.unwrap else x
@@ -161,8 +164,8 @@ class Source:
         self.place.require(
             side != "joint" or self.robot.gain_known,
             key,
-            expected="the drive gains in robot.toml, which make them N m or N",
-            text="cannot be added to efforts in " + join_units(self.robot.effort_units),
+            text=f"it cannot be added to efforts in {join_units(self.robot.effort_units)}",
+            advice="Give the drive gains in robot.toml, which convert efforts to N m or N",
         )
         self.place.require(
             quantity.side in (None, side), f"{key}.side", quantity.side, f"{side!r}, {why}"
@@ -185,8 +188,8 @@ class Source:
         self.place.require(
             values.shape[1] == n,
             f"{key}.columns",
-            expected=f"{n}, one per joint",
-            text=f"{values.shape[1]} columns",
+            text=f"the table has {values.shape[1]} such columns for {n} joints",
+            advice="Name one column per joint",
         )
         return units, np.asarray(values * factors)
 
@@ -200,7 +203,7 @@ class Source:
                 unit == joint.position_unit or (side == "motor" and unit == "rad"),
                 f"{key}.unit",
                 expected=f"{'an angle' if joint.type == 'revolute' else 'a length'}{each}",
-                text=f"in {unit} for joint {i + 1} ({joint.name})",
+                text=f"joint {i + 1} ({joint.name}) has values in {unit}",
             )
 
 
@@ -217,7 +220,10 @@ def si_units(
 ) -> tuple[tuple[str, ...], Array]:
     """SI unit and factor (n,) of each of n units."""
     place.require(
-        len(units) == n, key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units"
+        len(units) == n,
+        key,
+        text=f"{len(units)} units are given for {n} joints",
+        advice="Give one unit, or one per joint",
     )
     for unit in units:
         place.require(unit in known, key, unit, f"one of {', '.join(known)}")
@@ -233,11 +239,8 @@ def position_side(robot: Robot, side: Side | None, key: str, place: Location) ->
         place.refuse(
             f"{key}.side",
             side,
-            f"no {name}; or 'motor', where a map states it",
-            text=(
-                f"{name} of joint {joint.name} in robot.toml has no effect on positions at the "
-                "joint"
-            ),
+            text=f"{name} of joint {joint.name} in robot.toml does not apply to joint positions",
+            advice=f"Remove {name}, or import motor positions",
         )
     return side
 
@@ -270,8 +273,8 @@ def effort_side(
     place.require(
         side in fits,
         key,
-        expected=f"{join_units(expected[side])}, as in robot.toml",
-        text=f"gives {join_units(given)} at the {side}",
+        expected=join_units(expected[side]),
+        text=f"{join_units(given)} at the {side} does not match robot.toml",
     )
     return side
 

@@ -32,8 +32,7 @@ _PASSES = 4  # a wrong stamp hides its neighbours
 _AROUND = 8  # rows before and after a step back, that tell whether it lasts
 _MAX_OFF = 0.5  # periods: rows that are all earlier by more show a step back of the clock
 ONE_CLOCK = (
-    "one session with one clock: a clock was set back, or the file holds two sessions; split it "
-    "there, and import each"
+    "Split the file there and import each part: a clock was set back, or the file has two sessions"
 )
 
 
@@ -61,11 +60,9 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
     if by_stamp[joint] <= max(MIN_ROUGHNESS_RATIO * by_row[joint], MIN_SCATTER * period):
         return None
     return (
-        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions "
-        "lie on a smooth path within "
-        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms "
-        "by their stamps; "
-        f"{way_out}"
+        f"timestamps jitter by {1e3 * np.std(steps):.3g} ms, but the motion does not: positions "
+        f"lie on a smooth path within {1e3 * by_row[joint]:.2g} ms at even times, but within "
+        f"{1e3 * by_stamp[joint]:.2g} ms at their timestamps, so speeds are noisy; {way_out}"
     )
 
 
@@ -109,8 +106,10 @@ def even_times(
         np.ptp([part.min() for part in parts]) <= MAX_BURST_DRIFT * between_s,
         "time.resample_hz",
         rate_hz,
-        f"{1 / step_s:.7g}, the mean rate of the rows, and no packets that are missing",
-        text="stamps come in bursts, and rows between them are too many or too few",
+        text="timestamps come in bursts, and the number of rows between them does not fit this "
+        "rate",
+        advice=f"Set it to {1 / step_s:.7g}, the mean rate of the rows, or record without missing "
+        "packets",
     )
     return even_s, float(np.std(stamp_s - even_s))
 

@@ -95,8 +95,8 @@ def import_tables(
         place.refuse(
             "lines",
             lines,
-            "values instead, then the same command again",
-            text=f"still have {FILL_IN}",
+            text=f"they still contain {FILL_IN}",
+            advice="Complete these lines and run the same command again",
         )
     table_map = parse_toml(content, TableMap, str(map_path))
     source = Source(tables=tables, robot=robot, place=place)
@@ -104,9 +104,9 @@ def import_tables(
     rows = len(parts["position"])
     for key, part in parts.items():
         place.require(
-            len(part) == rows, key, expected=f"{rows} as in position", text=f"{len(part)} rows"
+            len(part) == rows, key, text=f"it has {len(part)} rows, but position has {rows}"
         )
-    place.require(rows >= 2, "position", expected="2 at least", text=f"{rows} row")
+    place.require(rows >= 2, "position", text=f"it has {rows} row, but a recording needs 2")
     names = ", ".join(table.name for table in tables)
     grid = _on_grid(source, table_map, parts)
     return write_samples(
@@ -155,12 +155,15 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     """The rows on a uniform grid: by the stated rate, or by their times."""
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
-        rate_hz = source.place.given(given_hz, "sample_rate_hz", None, "it, or a [time] table")
+        rate_hz = source.place.given(
+            given_hz, "sample_rate_hz", None, advice="Set it, or add a [time] table"
+        )
         source.place.require(
             rate_hz >= 1,
             "sample_rate_hz",
             rate_hz,
-            f"a rate in Hz, not a period: {1 / rate_hz:g}?",
+            text="it looks like a period, not a rate",
+            advice=f"Set the rate in Hz: {1 / rate_hz:g}",
         )
         time_s = np.arange(len(parts["position"])) / rate_hz
         return grid_of_new_rows(time_s, parts, source.place) or GridValues(
@@ -192,15 +195,16 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         given_hz is None or abs(given_hz / grid.rate_hz - 1) <= 1e-3,
         "sample_rate_hz",
         given_hz,
-        f"{grid.rate_hz:.9g}, the rate of the times"
+        text=f"the times have a rate of {grid.rate_hz:.9g} Hz"
         if time.resample_hz is None
-        else "none together with time.resample_hz",
+        else "it cannot be combined with time.resample_hz",
+        advice="Remove sample_rate_hz",
     )
     grid = with_warnings(
         grid,
         time_s,
         parts["position"],
-        "ticks" if time.ticks is not None else "stamps" if scatter_s is None else "even times",
+        "ticks" if time.ticks is not None else "timestamps" if scatter_s is None else "even times",
         "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]",
     )
     assert grid.report is not None
@@ -223,13 +227,13 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         (time.ticks is None) == (time.tick_s is None),
         "time.tick_s" if time.tick_s is None else "time.ticks",
         None,
-        "ticks and tick_s together, or neither",
+        advice="Set ticks and tick_s together, or neither",
     )
     place.require(
         time.column is not None or time.ticks is not None,
         "time.column",
         None,
-        "it, or ticks and tick_s",
+        advice="Set it, or ticks and tick_s",
     )
     place.require(
         time.unit in TIME_UNITS, "time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}"
@@ -261,12 +265,17 @@ def _ticks(
     """Ticks (N,) of the rows, of a counter or counted by positions and speeds."""
     if name == FROM_VELOCITY:
         if stamp_s is None or "velocity" not in parts:
-            source.place.refuse("time.ticks", name, "time.column with the stamps, and [velocity]")
+            source.place.refuse(
+                "time.ticks",
+                name,
+                text="ticks cannot be counted without timestamps and speeds",
+                advice="Set time.column, and add [velocity]",
+            )
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], tick_s)
     ticks = _column(source, time, name, parts)
     if (row := first_true(ticks != np.rint(ticks))) is not None:
         Location(f"{source.table('time.table', time.table)}: row {row + 1}").refuse(
-            str(name), float(ticks[row]), "whole counts"
+            str(name), float(ticks[row]), "a whole number"
         )
     return ticks
 
@@ -278,7 +287,7 @@ def _column(source: Source, time: Time, name: str | int, parts: Mapping[str, Arr
         column.shape == (rows, 1),
         "time",
         expected=f"one column of {rows} rows",
-        text=f"shape {column.shape}",
+        text=f"the selected numbers have the shape {column.shape}",
     )
     return np.asarray(column[:, 0])
 
@@ -292,7 +301,8 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Locatio
         abs(rate - 1) <= MAX_TICK_ERROR,
         "time.tick_s",
         tick_s,
-        f"{tick_s * rate:.6g}, the tick of the stamps",
+        text=f"the timestamps show a tick of {tick_s * rate:.6g} s",
+        advice="Correct tick_s, or the unit of the timestamps",
     )
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))
 
@@ -306,12 +316,11 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     samples = Location(str(path)).given(
         recording.samples,
         text=recording.no_samples,
-        expected="some; `robot-acquire import`, with a corrected --robot, makes them from frames "
-        "that are not lost",
+        advice="Decode its frames again: `robot-acquire import LOG.mcap --robot CORRECTED.toml`",
     )
     missing = [gap.missing for gap in gaps(samples, recording.sample_rate_hz) if not gap.late]
     if missing:
-        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
+        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps, and have no rows")
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
     names = [
         "time_s",

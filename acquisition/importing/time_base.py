@@ -47,7 +47,7 @@ class TimeReport:
     missing: int
     off: int = 0
     grid_hz: float | None = None
-    clock: str = "stamps"
+    clock: str = "timestamps"
     stamps_off_s: float | None = None
 
     @property
@@ -58,11 +58,11 @@ class TimeReport:
             f"{1e3 * self.longest_s:.4g} ms, median {1e3 * self.period_s:.4g} ms",
             f"jitter sd {1e3 * self.jitter_s:.4g} ms",
             f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps",
-            f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows",
+            f"{self.doubled} duplicate rows left out" if self.doubled else "no duplicate rows",
         ]
         more = {
-            f"{self.off} rows left out whose {self.clock} the motion contradicts": self.off,
-            f"stamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
+            f"{self.off} rows left out whose {self.clock} do not fit the motion": self.off,
+            f"timestamps sd {1e3 * (self.stamps_off_s or 0.0):.4g} ms about the {self.clock}": (
                 self.stamps_off_s is not None
             ),
             f"interpolated to {self.grid_hz or 0.0:.9g} Hz": self.grid_hz is not None,
@@ -95,8 +95,8 @@ class GridValues:
         start_s = max(0.0, self.start_s)
         Location(place).require(
             start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 and self.rate_hz <= 1e8,
-            expected="68 years and 100 MHz at most",
-            text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s",
+            text=f"{rows} rows at {self.rate_hz} Hz from {start_s} s are too late or too fast",
+            expected="at most 68 years and 100 MHz",
         )
         return np.asarray(
             self.first_ns
@@ -156,10 +156,9 @@ def resample(
         count >= 2 and rate_hz * report.period_s <= MAX_OVERSAMPLING,
         "resample_hz",
         rate_hz,
-        (
-            f"about the {1 / report.period_s:.4g} Hz of the rows, which last "
-            f"{time_s[-1] - time_s[0]:.4g} s"
-        ),
+        text=f"the rows come at {1 / report.period_s:.4g} Hz and last "
+        f"{time_s[-1] - time_s[0]:.4g} s",
+        advice="Choose a rate near that of the rows",
     )
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     return GridValues(
@@ -200,8 +199,8 @@ def rows_to_interpolate(
     place.require(
         len(time_s) >= 4,
         "time",
-        expected="4 at least",
-        text=f"{len(time_s)} rows of different times",
+        text=f"only {len(time_s)} rows have different times",
+        expected="at least 4",
     )
     report = time_report(time_s, doubled)
     if POSITION in parts:
@@ -212,10 +211,9 @@ def rows_to_interpolate(
     place.require(
         steps[k] <= (most + 0.5) * report.period_s,
         "time",
-        expected=f"{most:g} periods of {report.period_s:.6g} s at most; import the parts before "
-        "and after it separately, or set time.largest_gap_periods",
-        text=f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, "
-        f"{steps[k] / report.period_s:.1f} periods",
+        text=f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s is "
+        f"{steps[k] / report.period_s:.1f} periods long, more than {most:g}",
+        advice="Import the parts before and after it separately, or set time.largest_gap_periods",
     )
     return time_s, parts, replace(report, off=report.rows - len(time_s))
 
@@ -228,21 +226,17 @@ def _drop_repeated_rows(
     if (row := first_true(steps < 0)) is not None:
         place.refuse(
             f"row {row + 2}",
-            expected=(
-                "growing times of one source: not two publishers, a clock that was set or a "
-                "counter that wrapped"
-            ),
-            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
+            text=f"time runs backwards: {time_s[row + 1]:.9g} s follows {time_s[row]:.9g} s",
+            advice="Check for two publishers, a clock that was set, or a counter that wrapped",
         )
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
         for row in same[(x[same + 1] != x[same]).any(axis=1)]:
             place.refuse(
                 f"row {row + 2}",
-                expected=(
-                    "one row for each time; if stamps are too coarse, name a counter in time.ticks"
-                ),
                 text=f"{name} differs from the row before at the same time, {time_s[row]:.9g} s",
+                advice="Give each row a time of its own; if timestamps are too coarse, name a "
+                "counter in time.ticks",
             )
     keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
     return time_s[keep], {name: taken(x, keep) for name, x in parts.items()}, len(same)
@@ -277,15 +271,17 @@ def rate_warnings(report: TimeReport) -> list[str]:
     ratio, own_hz = report.grid_hz * report.period_s, 1 / report.period_s
     return holding(
         {
-            f"{100 * report.off / report.rows:.2g} % of the rows are left out because the motion "
-            f"contradicts their {report.clock}: use another clock": (
+            f"{100 * report.off / report.rows:.2g} % of the rows are left out, because their "
+            f"{report.clock} do not fit the motion: use another clock": (
                 report.off > MAX_LEFT_OUT * report.rows
             ),
-            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above "
-            "half of it is aliased into the samples; interpolate to the rows' own rate, a fit "
-            "decimates by itself": ratio < MIN_RATE_RATIO,
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: "
-            "samples between rows are interpolated and add no information": ratio > MAX_RATE_RATIO,
+            f"resample_hz = {report.grid_hz:g} is below the rate of the rows, {own_hz:.4g} Hz, so "
+            f"noise above {report.grid_hz / 2:g} Hz is aliased into the samples: use the rate of "
+            "the rows (a fit decimates by itself)": ratio < MIN_RATE_RATIO,
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rate of the rows, "
+            f"{own_hz:.4g} Hz: the interpolated samples add no information": (
+                ratio > MAX_RATE_RATIO
+            ),
         }
     )
 
@@ -294,13 +290,14 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> 
     """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not
     grow or leave the grid.
     """
-    way_out = "time.resample_hz interpolates rows to a uniform grid"
+    advice = "Set time.resample_hz to interpolate the rows to a uniform grid"
     steps = np.diff(time_s)
     if (row := first_true(steps <= 0)) is not None:
         place.refuse(
             f"row {row + 2}",
-            expected="a later time; time.resample_hz leaves out doubled rows",
-            text=f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
+            text=f"its time, {time_s[row + 1]:.9g} s, is not later than the one before, "
+            f"{time_s[row]:.9g} s",
+            advice="Set time.resample_hz, which also removes duplicate rows",
         )
     period = float(np.median(steps))
     if (row := first_true(np.abs(steps - period) > 0.1 * period)) is not None:
@@ -308,8 +305,8 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> 
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
         place.refuse(
             f"row {row + 2}",
-            expected=f"{period:.6g} s ({cause}); {way_out}",
-            text=f"{steps[row]:.6g} s after the row before",
+            text=f"it comes {steps[row]:.6g} s after the row before, not {period:.6g} s ({cause})",
+            advice=advice,
         )
     duration_s = float(time_s[-1] - time_s[0])
     period = duration_s / len(steps)
@@ -317,8 +314,8 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> 
     place.require(
         off.max() <= 0.5 * period,
         f"row {int(np.argmax(off)) + 1}",
-        expected=f"{0.5 * period:.6g} s at most; {way_out}",
-        text=f"{off.max():.6g} s off a uniform grid",
+        text=f"it is {off.max():.6g} s away from a uniform grid, more than {0.5 * period:.6g} s",
+        advice=advice,
     )
     return GridValues(
         parts=parts,
@@ -365,7 +362,11 @@ def write_samples(
     warnings = [
         *warnings,
         *grid.warnings,
-        *([f"the effort of {', '.join(zero)} is zero in all rows"] if zero else []),
+        *(
+            [f"the effort of {', '.join(zero)} is zero in all rows, which biases a fit"]
+            if zero
+            else []
+        ),
     ]
     if "velocity" in parts:
         warnings += check_recorded_velocities(

@@ -38,7 +38,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _MAX_CHUNK_BYTES, _MAX_TOTAL_BYTES = 64 * 2**20, 4 * 2**30
 # All topics but those for viewers.
 READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
-_ONE = "expected one recording, not merged with others"
+_MERGED = "merged recordings cannot be read"
 # At most so many bytes of a chunk, by its compression.
 _UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
     "": lambda data, most: data,
@@ -97,7 +97,7 @@ def read_content(path: Path) -> tuple["Content", bool, str]:
         with path.open("rb") as file:
             return _read(_Records(file), path)
     except OSError as error:
-        Location(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+        Location(str(path)).refuse(text=f"the file cannot be read: {error.strerror}")
 
 
 def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
@@ -106,12 +106,12 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
         ending, kind = path.suffix.lower(), kind_of(path).replace("mcap", "")
         place.require(
             ending not in _IMPORTED,
-            text=f"is a {ending[1:].upper()} file",
-            expected=f"a recording: first `robot-acquire import {path} --robot ROBOT.toml`",
+            text=f"this is a {ending[1:].upper()} file, not a recording",
+            advice=f"Import it first: `robot-acquire import {path} --robot ROBOT.toml`",
         )
         place.refuse(
-            text=f"is {NAMES[kind]}" if kind else "is not an MCAP file",
-            expected="a recording, as `robot-acquire record` or `import` writes it",
+            text=f"this is {NAMES[kind]}, not a recording" if kind else "this is not an MCAP file",
+            advice="Pass a recording of `robot-acquire record` or `robot-acquire import`",
         )
     found = Content(str(path))
     for opcode, at, content in records:
@@ -125,11 +125,15 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
                 # unwritten disk space
                 break
             place.refuse(
-                text=f"{'' if isinstance(error, _ForeignError) else f'damaged at byte {at}: '}"
-                f"{str(error) or type(error).__name__}"
+                text=(
+                    ""
+                    if isinstance(error, _ForeignError)
+                    else f"the file is damaged at byte {at}: "
+                )
+                + (str(error) or type(error).__name__)
             )
     if records.has_end and not found.complete:
-        place.refuse(text="damaged: it has an end, but the records before do not lead to it")
+        place.refuse(text="the file is damaged: its records do not lead to its end")
     return found, not records.has_end, records.sha256()
 
 
@@ -161,20 +165,22 @@ class Content:
             record = mcap.records.Metadata.read(_stream(content))
             if record.name == "recording":
                 if self.metadata is not None:
-                    raise _ForeignError(f"has a second metadata record {record.name!r}: {_ONE}")
+                    raise _ForeignError(
+                        f"it has a second metadata record {record.name!r}: {_MERGED}"
+                    )
                 self.metadata = dict(record.metadata)
                 check_metadata(self.metadata, self._place)
         elif opcode == Opcode.ATTACHMENT:
             record = mcap.records.Attachment.read(_stream(content))
             _check_crc(zlib.crc32(content[:-4]), int.from_bytes(content[-4:], "little"))
             if record.name in self.attachments:
-                raise _ForeignError(f"has a second attachment {record.name!r}: {_ONE}")
+                raise _ForeignError(f"it has a second attachment {record.name!r}: {_MERGED}")
             self.attachments[record.name] = record.data
         elif opcode == Opcode.CHUNK:
             content = _unpack(mcap.records.Chunk.read(_stream(content)))
             self._size += len(content)
             if self._size > _MAX_TOTAL_BYTES:
-                raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
+                raise ValueError(f"chunks unpack to more than {_MAX_TOTAL_BYTES} bytes")
             for inner, _, part in _records(BytesIO(content).read, 0, len(content)):
                 self._add_message(inner, part)
         elif opcode == Opcode.DATA_END:
@@ -189,7 +195,7 @@ class Content:
         if opcode == Opcode.MESSAGE:
             number, _, stamp_ns, _ = _MESSAGE.unpack_from(content)
             if number not in self._channels:
-                raise ValueError(f"a message on channel {number}, which is not described")
+                raise ValueError(f"a message has the channel {number}, which is not described")
             if (topic := self._channels[number]) is not None:
                 self.messages[topic].add(stamp_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
@@ -201,7 +207,7 @@ class Content:
             if READ_TOPICS.fullmatch(channel.topic):
                 self._channels[channel.id] = channel.topic
                 if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
-                    raise _ForeignError(f"{channel.topic} changes its layout: {_ONE}")
+                    raise _ForeignError(f"the layout of {channel.topic} changes: {_MERGED}")
 
 
 class GrowingContent(Content):
@@ -221,21 +227,24 @@ class GrowingContent(Content):
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
         except FileNotFoundError:
-            place.refuse(text="is gone: moved or deleted while it was written")
-        place.require(os.path.samestat(there, ours), text="was replaced by another file")
+            place.refuse(text="the recording was moved or deleted while it was written")
+        place.require(
+            os.path.samestat(there, ours), text="the recording was replaced by another file"
+        )
         place.require(
             there.st_size >= self._at,
-            text=f"was cut: {there.st_size} bytes, {self._at} of which were read before",
+            text=f"the recording was truncated to {there.st_size} bytes, after {self._at} bytes "
+            "had been read",
         )
         self._file.seek(0)
-        place.require(self._file.read(len(_MAGIC)) == _MAGIC, text="is not a recording")
+        place.require(self._file.read(len(_MAGIC)) == _MAGIC, text="this is not a recording")
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
         for opcode, at, content in _records(BytesIO(data).read, before, before + len(data)):
             try:
                 self.add(opcode, content)
             except _DAMAGE as error:
-                place.refuse(text=f"damaged at byte {at}: {error}")
+                place.refuse(text=f"the file is damaged at byte {at}: {error}")
             self._at = at + len(content)
         return self._at > before
 
@@ -299,7 +308,7 @@ def _stream(content: bytes) -> Any:
 
 def _check_crc(computed: int, expected: int) -> None:
     if expected not in (0, computed):  # 0: no CRC was written
-        raise ValueError(f"CRC is {computed:08x}: expected {expected:08x}")
+        raise ValueError(f"the CRC is {computed:08x}, expected {expected:08x}")
 
 
 def _unpack(chunk: Any) -> bytes:
@@ -309,13 +318,13 @@ def _unpack(chunk: Any) -> bytes:
     """
     if chunk.compression not in _UNPACKED:
         raise _ForeignError(
-            f"has chunks compressed by {chunk.compression!r}: expected 'zstd', 'lz4' or none, as "
-            "`mcap compress` writes them"
+            f"its chunks are compressed by {chunk.compression!r}: expected 'zstd', 'lz4' or none, "
+            "as `mcap compress` writes them"
         )
     size = min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)
     content = _UNPACKED[chunk.compression](chunk.data, size + 1)
     if len(content) != size or chunk.uncompressed_size != size:
-        raise ValueError(f"a chunk of {len(content)} bytes: expected {size}")
+        raise ValueError(f"a chunk has {len(content)} bytes, expected {size}")
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc)
     return content
 
@@ -327,17 +336,20 @@ def check_metadata(metadata: Mapping[str, str], place: str) -> None:
         re.fullmatch("[0-9]{1,9}", text, re.ASCII) and int(text) >= 1,
         "schema_version",
         text,
-        "a whole number from 1",
+        "a whole number of at least 1",
     )
     Location(place).require(
         int(text) <= SCHEMA_VERSION,
         "schema_version",
         int(text),
-        f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
+        f"at most {SCHEMA_VERSION}",
+        text="a newer version of robot-idim wrote this file",
+        advice="Update robot-idim",
     )
     Location(f"{place}: metadata").require(
         metadata.get("crc32") == metadata_crc(metadata),
         "crc32",
         metadata.get("crc32"),
         repr(metadata_crc(metadata)),
+        text="the metadata are damaged",
     )

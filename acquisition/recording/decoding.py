@@ -219,8 +219,9 @@ def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
     rows = traffic.rows_of(bus.file.sync_can_id)
     Location(place).require(
         len(rows) >= 2,
-        text=f"{len(rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(traffic.frames)} frames",
-        expected="many",
+        text=f"only {len(rows)} of {len(traffic.frames)} frames are SYNC "
+        f"(0x{bus.file.sync_can_id:X})",
+        advice="Check sync_can_id in robot.toml, and that SYNC was sent",
     )
     times = traffic.at("time_ns", rows)
     return recorded_syncs(
@@ -242,8 +243,8 @@ def _frames_of(
     rows, again = without_repeats(rows, syncs.rows, traffic.at("data", rows))
     Location(place).require(
         len(rows),
-        text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})",
-        expected="the drive's answers to SYNC; is it mapped and started?",
+        text=f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name}) was received",
+        advice="Check that the drive maps this PDO, is started and answers SYNC",
     )
     return kept(rows), again, short
 
@@ -253,13 +254,14 @@ def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
     Location(place).require(
         answers.missing_share <= max_missing
         or all(lost["missing"] <= MAX_MISSING_COUNT for lost in answers.losses),
-        text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing",
-        expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together",
+        text=f"{answers.missing_share:.1%} of the PDOs of a drive are missing, more than "
+        f"{max_missing:.0%}, so it is uncertain which PDOs belong together",
+        advice="Record again with fewer lost frames",
     )
     Location(place).require(
         len(answers.answered) >= 2,
-        text=f"{len(answers.answered)} SYNC answered by all drives",
-        expected="many",
+        text=f"all drives answered only {len(answers.answered)} SYNC; samples need at least 2",
+        advice="Check that all drives are started, and record for longer",
     )
 
 
@@ -292,8 +294,8 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         position = _integers(traffic, rows_of, drive, drive.position)
         if len(wraps := unwrap(position, drive.position.bits)[1]):
             yield (
-                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at "
-                f"{(stamps[wraps[0]] - stamps[0]) * 1e-9:.4g} s: positions are continued"
+                f"{drive.name}: the position counter wrapped {len(wraps)} times, first at "
+                f"{(stamps[wraps[0]] - stamps[0]) * 1e-9:.4g} s: positions continue across it"
             )
 
 
@@ -324,17 +326,19 @@ def refuse_period(
     """
     if abs(measured_s / stated_s - 1) <= MAX_PERIOD_ERROR:
         return
-    text = f"{what} came every {measured_s * 1e3:.4g} ms"
-    expected = (
-        f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
-        "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+    low, high = np.quantile(steps_s, [0.1, 0.9]) * 1e3
+    even = np.quantile(np.abs(steps_s / measured_s - 1), MIN_EVEN_SHARE) <= MAX_UNEVEN
+    came = (
+        f"every {measured_s * 1e3:.4g} ms"
+        if even
+        else f"{low:.3g} to {high:.3g} ms after the previous one"
     )
-    if np.quantile(np.abs(steps_s / measured_s - 1), MIN_EVEN_SHARE) > MAX_UNEVEN:
-        low, high = np.quantile(steps_s, [0.1, 0.9]) * 1e3
-        text = f"{what} came {low:.3g} to {high:.3g} ms after the one before"
-        expected = "even steps: is each recorded twice, or in another order or clock than it came?"
     Location(place).refuse(
-        text=f"{text}; bus.sync_period_s = {stated_s:g} in robot.toml", expected=expected
+        text=f"{what} came {came}, but bus.sync_period_s is {stated_s:g} in robot.toml",
+        advice=f"Set it to {measured_s:.3g} and import again; for a recording: "
+        "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+        if even
+        else "Check whether each is recorded twice, or in another order or clock than it came",
     )
 
 
@@ -348,15 +352,16 @@ def _warnings(
     missing = int(answered[-1] - answered[0] + 1 - len(answered))
     at_ends = len(clock.stamps) - int(answered[-1] - answered[0] + 1)
     found = {
-        f"SYNC came every {clock.period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as "
-        "robot.toml says": abs(clock.period_s / nominal_s - 1) > 0.01,
-        f"SYNC paused {pauses} times for more than 1.5 periods, the longest "
-        f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s": pauses,
-        f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of "
+        f"SYNC came every {clock.period_s * 1e3:.4g} ms, not every {nominal_s * 1e3:g} ms as "
+        "robot.toml says: correct sync_period_s": abs(clock.period_s / nominal_s - 1) > 0.01,
+        f"SYNC paused {pauses} times for more than 1.5 periods, the longest for "
+        f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s: samples are "
+        "missing there": pauses,
+        f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time, more than half a period of "
         f"{nominal_s * 1e3:g} ms": not pauses and clock.jitter_s[1] > 0.5 * nominal_s,
-        f"{lost} SYNC were answered but not recorded": lost,
+        f"{lost} SYNC were answered but not recorded: their times are interpolated": lost,
         f"{missing} samples are missing in {np.count_nonzero(np.diff(answered) > 1)} gaps": missing,
-        f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no rows": (
+        f"{at_ends} of {len(clock.stamps)} SYNC at the beginning and the end give no samples": (
             at_ends > max(MAX_AT_ENDS, MAX_SHARE_AT_ENDS * len(clock.stamps))
         ),
     }
@@ -368,7 +373,7 @@ def _warnings(
         ),
         *(text for text, holds in found.items() if holds),
         *(
-            f"{name}: {losses} of {count['received']}"
+            f"{name}: {losses} of {count['received']} received"
             for name, count in counts.items()
             if (losses := ", ".join(f"{count[word]} {word}" for word in LOSSES if count[word]))
         ),

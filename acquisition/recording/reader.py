@@ -114,7 +114,7 @@ class Recording:
         """The reason why there are no samples, as recorded."""
         return next(
             (e.text for e in reversed(self.events) if e.text.startswith(NO_SAMPLES)),
-            "holds no joint samples",
+            "the recording contains no samples",
         )
 
     @property
@@ -170,19 +170,15 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     place = Location(str(path))
     found, cut, sha256 = read_content(path)
     attachments, topics = found.attachments, found.messages
-    note = " (the file is cut before its description)" if cut else ""
+    note = " (it is truncated before its description)" if cut else ""
     if (metadata := found.metadata) is None:
         place.refuse(
-            text=f"holds no metadata record 'recording'{note}",
-            expected="a recording of robot-acquire, which `robot-acquire import --topic NAME` "
-            "makes of a ROS 2 bag, and `mcap filter` keeps with --include-metadata "
-            "--include-attachments",
+            text=f"the file has no metadata record 'recording'{note}",
+            advice="Import a ROS 2 bag by `robot-acquire import --topic NAME`; filter a recording "
+            "by `mcap filter --include-metadata --include-attachments`",
         )
     if "robot.toml" not in attachments:
-        place.refuse(
-            text=f"holds no robot.toml{note}",
-            expected="the robot's description as an attachment",
-        )
+        place.refuse(text=f"the recording has no robot.toml attached{note}")
     robot = robot_from_files(attachments, f"{path}: robot.toml")
     unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
     if unit != expected:
@@ -223,13 +219,14 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
     text, skipped = (f"{earlier[1]}]", int(earlier[2])) if earlier else (blocks.layout, 0)
     if (dtype := next((one for one in known if repr(one.descr) == text), None)) is None:
         Location(place).refuse(
-            text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr)
+            text=f"the rows have the layout {blocks.layout[:200]!r}",
+            expected=str(known[-1].descr),
         )
     whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
     if any(end % whole.itemsize for end in blocks.ends):
         Location(place).refuse(
-            text=f"{blocks.data.tell()} bytes",
-            expected=f"blocks of whole rows of {whole.itemsize} bytes",
+            text=f"the blocks have {blocks.data.tell()} bytes",
+            expected=f"whole rows of {whole.itemsize} bytes",
         )
     rows = np.frombuffer(blocks.data.whole(), whole)  # of bytes, hence read-only
     return rows[list(dtype.names or ())] if skipped else rows
@@ -318,12 +315,14 @@ class RecordingFollower:
         attachments, place = self._content.attachments, Location(str(path))
         self.metadata = place.given(
             self._content.metadata if "robot.toml" in attachments else None,
-            text="has no description yet",
-            expected="a recording that is written",
+            text="the recording has no description yet",
+            advice="Wait until the recording has started",
         )
         self.robot = robot_from_files(attachments, f"{path}: robot.toml")
         self._file = place.given(
-            self.robot.bus, text="is of no bus", expected="a recording of `robot-acquire record`"
+            self.robot.bus,
+            text="robot.toml has no [bus], so no drives are recorded",
+            advice="Follow a recording of `robot-acquire record`",
         )
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)

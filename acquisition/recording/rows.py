@@ -112,7 +112,7 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
         before = np.concatenate([[after_ns], stamps[:-1]])
         if len(bad := np.flatnonzero((stamps <= before) | (stamps > MAX_STAMP_NS))):
             Location(f"{place}: row {k * _AT_ONCE + bad[0] + 1}").refuse(
-                "stamp_ns", int(stamps[bad[0]]), f"growing stamps from 0 to {MAX_STAMP_NS}"
+                "stamp_ns", int(stamps[bad[0]]), f"growing timestamps, 0 to {MAX_STAMP_NS}"
             )
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
@@ -131,8 +131,9 @@ def check_frames(frames: Block, place: str) -> None:
     for k, rows in enumerate(in_parts(frames)):
         if len(bad := np.flatnonzero((rows["length"] > 8) | (rows["time_ns"] < 0))):
             Location(f"{place}: row {k * _AT_ONCE + bad[0] + 1}").refuse(
-                text=f"length = {rows['length'][bad[0]]}, time_ns = {rows['time_ns'][bad[0]]}",
-                expected="8 bytes at most and a time from 0",
+                text=f"a frame has length = {rows['length'][bad[0]]}, "
+                f"time_ns = {rows['time_ns'][bad[0]]}",
+                expected="at most 8 bytes, and a time of 0 or greater",
             )
 
 
@@ -217,9 +218,9 @@ def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]
     left_out = np.count_nonzero(pdos) - np.count_nonzero(pdos[first:end])
     told = holding(
         {
-            "no answer of a drive is in the log: what was written to map PDOs counts": silent,
+            "the log contains no answers of drives: the mapping is what the master wrote": silent,
             f"{left_out} of {np.count_nonzero(pdos)} PDOs are left out: when they were sent, a "
-            "drive had another mapping, or one that is not in the log": left_out,
+            "drive had another mapping, or one that was not logged": left_out,
         }
     )
     return frames[first:end], replace(bus, notes=(*bus.notes, *told))

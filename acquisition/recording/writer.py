@@ -172,13 +172,13 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])
         place.require(
             layout in sample_layouts(self._robot),
-            text=f"rows of {block.dtype}",
+            text=f"the rows have the type {block.dtype}",
             expected=f"sample_dtype of {self._robot.n} joints",
         )
         place.require(
             self._layout in (None, layout),
-            text=f"rows of {block.dtype}",
-            expected=f"{self._layout} as in the block before",
+            text=f"the rows have the type {block.dtype}",
+            expected=f"{self._layout}, as in the block before",
         )
         if len(block) == 0:
             return
@@ -213,12 +213,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         topic = f"/can/{channel}/frames"
         Location(self._place).require(
             FRAMES_TOPIC.fullmatch(topic),
-            text=f"CAN channel {channel!r}",
-            expected="letters, digits and _ . - only",
+            text=f"the CAN channel {channel!r} has an invalid name",
+            expected="letters, digits and _ . -",
         )
         if block.dtype != FRAME:
             Location(f"{self._place}: {topic}").refuse(
-                text=f"rows of {block.dtype}", expected=str(FRAME)
+                text=f"the rows have the type {block.dtype}", expected=str(FRAME)
             )
         check_frames(block, f"{self._place}: {topic}")
         for some in in_parts(block):
@@ -310,7 +310,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any
     ) -> None:
         Location(f"{self._place}: {topic}").require(
-            stamp_ns >= 0, "stamp_ns", stamp_ns, "a time from 0"
+            stamp_ns >= 0, "stamp_ns", stamp_ns, "0 or greater"
         )
         self._add(
             topic,

@@ -131,7 +131,7 @@ class DriveFile(TomlTable, frozen=True):
                 self.reference is not None or self.actual is not None,
                 "reference",
                 None,
-                "the object of the current or torque reference, or actual for its value",
+                ("", "Name the object of the current or torque reference, or set actual"),
             ),
             *(
                 (
@@ -157,14 +157,17 @@ class DriveFile(TomlTable, frozen=True):
                 value is None or RATED_UNITS[unit] <= value <= most,
                 key,
                 value,
-                f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}",
+                f"{RATED_UNITS[unit]:g} to {most:.4g}, 32 bits in {unit}",
             )
         self.require_all(
             (
                 (self.counts_per_turn is None) != (self.counts_per_m is None),
                 "counts_per_turn",
                 self.counts_per_turn,
-                "counts_per_turn or counts_per_m, one of the two",
+                (
+                    "" if self.counts_per_turn is None else "counts_per_m is given too",
+                    "Give counts_per_turn or counts_per_m",
+                ),
             ),
             (
                 self.dictionary is None or re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary),
@@ -176,7 +179,7 @@ class DriveFile(TomlTable, frozen=True):
                 self.mapping != "dictionary" or self.dictionary is not None,
                 "mapping",
                 self.mapping,
-                "a dictionary (EDS or DCF) that holds the mapping",
+                ("no dictionary is given", "Name the EDS or DCF that contains the mapping"),
             ),
         )
 
@@ -271,19 +274,19 @@ class BusFile(TomlTable, frozen=True):
                 self.master_node not in nodes,
                 "master_node",
                 self.master_node,
-                "a node id that no drive has",
+                ("a drive has it", "Choose another node id"),
             ),
             *(
                 (
                     node not in (*nodes, self.master_node),
                     "other_nodes",
                     node,
-                    "node ids that neither a drive nor master_node has",
+                    ("a drive or master_node has it", ""),
                 )
                 for node in self.other_nodes
             ),
             *(
-                (node not in nodes[:i], f"drive[{i}].node", node, "a node id not used before")
+                (node not in nodes[:i], f"drive[{i}].node", node, ("another drive has it", ""))
                 for i, node in enumerate(nodes)
             ),
         )
@@ -311,8 +314,9 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     if (ripple := demand_ripple(bandwidth_hz, bus.sync_period_s)) <= MAX_DEMAND_RIPPLE:
         return ()
     return (
-        f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if "
-        "drives interpolate linearly: shorten sync_period_s, or record an averaged object",
+        "the torque demand value (6074) is read once per SYNC, so inertia may be wrong by "
+        f"{100 * ripple:.1f} % if drives interpolate linearly: shorten sync_period_s, or record an "
+        "averaged object",
     )
 
 

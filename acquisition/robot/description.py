@@ -125,7 +125,9 @@ class Joint(TomlTable, frozen=True):
         for quantity, key in _KEYS[other].items():
             value = getattr(self, key)
             replacement = self.key(quantity) if quantity == "effort" else f"a key in {unit}"
-            self.require(value is None, key, value, f"{replacement} for a {self.type} joint")
+            self.require(
+                value is None, key, value, (f"the joint is {self.type}", f"Use {replacement}")
+            )
         limits = getattr(self, self.key("position"))
         self.require(
             limits is None or limits[0] < limits[1],
@@ -137,11 +139,11 @@ class Joint(TomlTable, frozen=True):
             given = {name: getattr(self, name) for name in ("viscous", "coulomb", "offset")}
             self.require_all(
                 *(
-                    (self.friction.count(term) <= 1, "friction", term, "each term once")
+                    (self.friction.count(term) <= 1, "friction", term, ("it is listed twice", ""))
                     for term in self.friction
                 ),
                 *(
-                    (stated is None, name, stated, "no such key with a list of terms in friction")
+                    (stated is None, name, stated, ("friction lists all terms", f"Remove {name}"))
                     for name, stated in given.items()
                 ),
             )
@@ -215,25 +217,25 @@ class Motor(TomlTable, frozen=True):
                 (self.drive_gain is None) == (self.drive_gain_unit is None),
                 "drive_gain",
                 self.drive_gain,
-                "drive_gain and drive_gain_unit together, or neither",
+                ("only one of drive_gain and drive_gain_unit is given", "Give both, or neither"),
             ),
             (
                 self.drive_gain is None or self.drive_gain > 0,
                 "drive_gain",
                 self.drive_gain,
-                "a positive number (signs belong to ratio or motor_matrix)",
+                ("it is not greater than 0", "Put signs into ratio or motor_matrix"),
             ),
             (
                 self.drive_gain_unit is not None or self.effort_unit is not None,
                 "effort_unit",
                 None,
-                "effort_unit (A, V, N m, N or %) where no drive gain is given",
+                ("no drive gain gives the unit", "Set it to A, V, N m, N or %"),
             ),
             (
                 self.drive_gain_unit is None or self.effort_unit in (None, self.recorded_unit),
                 "effort_unit",
                 self.effort_unit,
-                f"{self.recorded_unit!r}, as drive_gain_unit says",
+                (f"drive_gain_unit is {self.drive_gain_unit}", f"Set {self.recorded_unit!r}"),
             ),
         )
 
@@ -299,22 +301,22 @@ class RobotFile(TomlTable, frozen=True):
         drives = n if self.bus is None else len(self.bus.drive)
         names = {"joint": [j.name for j in self.joint], "motor": [m.name for m in self.motor]}
         self.require_all(
-            (len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"one per joint: {n}"),
-            (drives == n, "bus.drive", f"{drives} tables", f"one per motor: {n}"),
+            (len(self.motor) == n, "motor", f"{len(self.motor)} tables", f"{n}, one per joint"),
+            (drives == n, "bus.drive", f"{drives} tables", f"{n}, one per motor"),
             (
                 not self.urdf_meshes or self.urdf is not None,
                 "urdf_meshes",
                 True,
-                "a urdf that refers to them",
+                ("there is no urdf", "Name a urdf that refers to meshes, or remove urdf_meshes"),
             ),
             (
                 self.payload.frame is None or self.urdf is not None,
                 "payload.frame",
                 self.payload.frame,
-                "a urdf with this link",
+                ("there is no urdf", "Name a urdf with this link, or remove the frame"),
             ),
             *(
-                (name not in named[:i], f"{kind}[{i}].name", name, "a name not used before")
+                (name not in named[:i], f"{kind}[{i}].name", name, (f"another {kind} has it", ""))
                 for kind, named in names.items()
                 for i, name in enumerate(named)
             ),
@@ -327,19 +329,19 @@ class RobotFile(TomlTable, frozen=True):
                     (joint.dh is None) != (self.urdf is None),
                     f"joint[{i}].dh",
                     joint.dh,
-                    "a dh row for every joint, or else a urdf for the whole robot (one of the two)",
+                    ("a urdf is given too" if joint.dh else "", "Give a dh row, or one urdf"),
                 ),
                 (
                     "stribeck" not in joint.terms or speed is not None,
                     key,
                     None,
-                    "the speed at which Stribeck friction has decreased to 37 %",
+                    ("", "Give the speed at which Stribeck friction has decreased to 37 %"),
                 ),
                 (
                     "stribeck" in joint.terms or speed is None,
                     key,
                     speed,
-                    'the term "stribeck" in friction with it',
+                    ('friction has no term "stribeck"', "Add the term, or remove the speed"),
                 ),
             )
         self._check_motors(n)
@@ -352,7 +354,7 @@ class RobotFile(TomlTable, frozen=True):
                     motor.ratio is None or (motor.ratio != 0 and self.motor_matrix is None),
                     f"motor[{i}].ratio",
                     motor.ratio,
-                    "a non-zero ratio, or motor_matrix for the whole robot, not both",
+                    ("it is 0, or given beside motor_matrix", "Give a ratio or motor_matrix"),
                 )
                 for i, motor in enumerate(self.motor)
             ),
@@ -360,7 +362,10 @@ class RobotFile(TomlTable, frozen=True):
                 not 0 < len(unknown) < n,
                 "motor.drive_gain",
                 None,
-                f"a drive gain for all motors or for none; missing for {', '.join(unknown)}",
+                (
+                    f"{', '.join(unknown)} have none",
+                    "Give a drive gain for all motors, or for none",
+                ),
             ),
         )
         if self.motor_matrix is not None:
@@ -383,7 +388,7 @@ class RobotFile(TomlTable, frozen=True):
                         row[i] != 0,
                         f"motor_matrix[{i}]",
                         list(row),
-                        f"motor {i + 1} to turn joint {i + 1}: order the motors so",
+                        (f"motor {i + 1} does not move joint {i + 1}", "Order motors by joints"),
                     )
                     for i, row in enumerate(self.motor_matrix)
                 ),

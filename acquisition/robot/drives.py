@@ -156,8 +156,8 @@ def refuse_load(bus: Bus, place: str) -> None:
         bus.load <= MAX_LOAD,
         "sync_period_s",
         period_s,
-        f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or fewer PDOs",
-        text=f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
+        text=f"the PDOs take {bus.load:.0%} of {bus.file.bitrate} bit/s, more than {MAX_LOAD:.0%}",
+        advice=f"Set at least {bus.load * period_s / MAX_LOAD:.2g} s, or use fewer PDOs",
         shown=f"{period_s:g}",
     )
 
@@ -209,21 +209,23 @@ def refuse_pdos(bus: Bus, place: str) -> None:
             at.require(
                 pdo.number not in [other.number for other in pdos[:k]],
                 text=f"number = {pdo.number} is used twice",
-                expected="one of its own",
+                advice="Give each PDO its own number",
             )
             at.require(
-                pdo.bits <= cia.MAX_PDO_BITS, text=f"{pdo.length} bytes", expected="8 at most"
+                pdo.bits <= cia.MAX_PDO_BITS,
+                text=f"the PDO has {pdo.length} bytes",
+                expected="at most 8",
             )
             name = f"identifier 0x{pdo.can_id:03X}"
             at.require(
                 cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID or pdo.can_id in FREE_CAN_IDS,
-                text=name,
+                text=f"the {name} belongs to another service",
                 expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}",
             )
             at.require(
                 pdo.can_id not in used,
-                text=f"{name} is that of {used.get(pdo.can_id)}",
-                expected="one of its own",
+                text=f"the {name} is also that of {used.get(pdo.can_id)}",
+                advice="Give each PDO its own identifier",
             )
             used[pdo.can_id] = f"a PDO of {drive.name}"
 
@@ -242,17 +244,17 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
         at.refuse(
             "counts_per_m",
             metre,
-            "counts_per_turn",
             text=f"motor {motor.name!r} "
             f"{'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}",
+            advice="Use counts_per_turn",
             shown=f"{metre:g}",
         )
     if turn is not None and unit == "N":
         at.refuse(
             "counts_per_turn",
             turn,
-            "counts_per_m",
             text=f"motor {motor.name!r} gives a force",
+            advice="Use counts_per_m",
             shown=f"{turn:g}",
         )
 
@@ -269,8 +271,8 @@ def axis_of(drive: Drive) -> int:
         or drive.status.sub
     ):
         Location(f"node {drive.node}").refuse(
-            text=f"control {drive.control} and status {drive.status}",
-            expected="those of one axis, such as 6040:0 and 6041:0",
+            text=f"control {drive.control} and status {drive.status} do not belong to one axis",
+            advice="Use objects of one axis, such as 6040:0 and 6041:0",
         )
     return axis
 
@@ -293,15 +295,15 @@ def check_carriers(bus: Bus) -> None:
         for entry, way, words in (
             (drive.control, "rpdo", "to the drive"),
             (drive.target, "rpdo", "to the drive"),
-            (drive.status, "tpdo", "from it"),
+            (drive.status, "tpdo", "from the drive"),
         ):
             at.require(
                 drive.carrier(entry, way) is not None,
-                text=f"no PDO {words} carries {entry}",
-                expected="one to track",
+                text=f"no PDO {words} carries {entry}, which tracking needs",
+                advice="Map it",
             )
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
             at.refuse(
-                text=f"a PDO to the drive carries {other}",
-                expected=f"only {', '.join(sorted(known))} to track",
+                text=f"a PDO to the drive carries {other}, which tracking would set to 0",
+                advice=f"Map only {', '.join(sorted(known))}",
             )

@@ -69,7 +69,7 @@ class Controller(TomlTable, frozen=True):
                 not self.gravity_feedforward or self.structure not in (None, "computed_torque"),
                 "gravity_feedforward",
                 True,
-                "a structure that has no gravity by itself",
+                ("it needs a control law without gravity", "Change controller.structure"),
             ),
             *(
                 (all(g > 0 for g in gains or ()), name, gains and list(gains), "positive numbers")

@@ -30,7 +30,7 @@ MAX_SPEED_DEVIATION = 0.1  # of the change of position; above it there is a warn
 MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
 MIN_USED_RANGE = 0.1  # of a joint: less, if radians were degrees, is no motion
 RADIANS_AS_DEGREES = (
-    "joints move within a 57th of their limits: are positions radians, declared as degrees?"
+    "all joints use less than 1/57 of their ranges: positions may be radians, declared as degrees"
 )
 _MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
 
@@ -117,7 +117,8 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
     limits = effort_limits(robot)
     peaks = [float(np.abs(effort @ row).max(initial=0.0)) for row in limits.directions]
     return tuple(
-        f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
+        f"the effort of {name} reaches {peak:.4g} {unit}, above its limit of {most:.4g} {unit}: "
+        "check gain, ratio and unit"
         for name, peak, most, unit in zip(
             limits.names, peaks, limits.limits, limits.units, strict=True
         )
@@ -147,13 +148,13 @@ def check_recorded_velocities(
         gain = float(by_position[:, j] @ by_speed[:, j]) / moved
         deviation = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
         text = (
-            f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, "
-            f"off by {100 * deviation:.2g} %"
+            f"the velocity of joint {joint.name} is {gain:.3g} times the derivative of its "
+            f"position, with a difference of {100 * deviation:.2g} %"
         )
         Location(place).require(
             deviation <= MAX_SPEED_DEVIATION or 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN,
             text=text,
-            expected="the joint's own speed: check its unit, side, sign and column",
+            advice="Check the unit, side, sign and column of the velocity",
         )
         if deviation > MAX_SPEED_DEVIATION:
             warnings.append(text)
@@ -186,23 +187,21 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Location) -> list[s
     if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
     text = (
-        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
-        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
+        f"joint {joint.name} reaches {_shown(joint, x[k])} at {stamp_s[k] - stamp_s[0]:.3f} s, "
+        f"outside its limits of {'±' if low == -high else f'{_shown(joint, low)} to '}"
+        f"{_shown(joint, high)}"
     )
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
-    causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
+    causes = "Check unit, ratio, zero and sign, and for a counter that wrapped"
     if (
         joint.type == "revolute"
         and np.abs(x).max() > 5 * max(-low, high)
         and low <= math.radians(x.min())
         and math.radians(x.max()) <= high
     ):
-        causes = "are they degrees, declared as radians? Else a wrong ratio"
-    place.refuse(
-        text=text,
-        expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml",
-    )
+        causes = "Check for degrees declared as radians, and the ratio"
+    place.refuse(text=text, advice=f"{causes}, or correct {joint.key('position')} in robot.toml")
 
 
 def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Location) -> list[str]:
@@ -218,27 +217,24 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Locatio
     k = int(np.argmax(beyond))
     speed = f"{_shown(joint, step[k] / step_s[k])}/s"
     limit = (
-        f"limit {_shown(joint, stated)}/s"
+        f"above its limit of {_shown(joint, stated)}/s"
         if stated is not None
-        else f"expected below {_shown(joint, most)}/s"
+        else f"above the {_shown(joint, most)}/s of the fastest robots"
     )
     when = f"{stamp_s[k + 1] - stamp_s[0]:.3f} s"
     if beyond[k] <= most:
         if stated is None or beyond[k] <= (1 + MIN_OVERSHOOT) * stated:
             return []
-        return [f"joint {joint.name} at {speed}, {when}: {limit}"]
+        return [f"joint {joint.name} reaches {speed} at {when}, {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     place.require(
         step[k] <= _MIN_JUMP_RATIO * neighbour,
-        text=f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} "
-        f"({speed}; {limit})",
-        expected="motion: a counter that wrapped, lost or foreign samples, or two recordings "
-        "glued together",
+        text=f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample at {when} "
+        f"({speed}, {limit})",
+        advice="Check for a counter that wrapped, lost or foreign samples, or joined recordings",
     )
     place.refuse(
-        text=f"joint {joint.name} at {speed}, {when}: {limit}",
-        expected=(
-            "a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or "
-            f"{joint.key('speed')} of robot.toml"
-        ),
+        text=f"joint {joint.name} reaches {speed} at {when}, {limit}",
+        advice="Check for degrees declared as radians, the ratio and the sample rate, or correct "
+        f"{joint.key('speed')} in robot.toml",
     )

@@ -65,7 +65,7 @@ class Payload:
     __str__ = describe
 
 
-def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
+def parse_payload(text: str, robot: Robot, key: str = "payload") -> Payload:
     """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of
     the robot's `[payload]`.
 
@@ -84,6 +84,6 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
         raise BadInputError(
             key=key,
             value=text,
-            expected="KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each "
-            "number within 5 m; +-0.005 after it",
+            expected="KG or KG@X,Y,Z[+-HALF]: a mass in kg greater than 0, a centre of mass in m "
+            "(-5 to 5), and its half-width in m",
         ) from error

@@ -59,13 +59,13 @@ def fourier_reference(
     The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the
     period is not positive or a joint states no range.
     """
-    Location("").require(period_s > 0, text=f"period {period_s:g} s", expected="more than 0")
+    Location("").require(period_s > 0, "period_s", period_s, "greater than 0")
     for i, joint in enumerate(robot.joints):
         Location(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]").require(
             joint.si("position") is not None,
             joint.key("position"),
             None,
-            "[lowest, highest]: the reference moves within it",
+            advice="Give [lowest, highest], within which the reference moves",
         )
     k = np.arange(1, harmonics + 1)
     sine, cosine = np.random.default_rng(seed).standard_normal((2, robot.n, harmonics)) / k
@@ -110,15 +110,15 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     with np.errstate(all="ignore"):  # overflows are refused below
         at.require(
             len(table) >= 2 and (np.diff(time_s) > 0).all(),
-            expected="two rows or more, with growing times",
+            text="the table has fewer than 2 rows, or times that do not grow",
         )
         length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         slower = f" at {speed:g} times its speed" if speed != 1 else ""
         at.require(
             length_s <= longest_s,
-            text=f"{length_s:.6g} s from first to last{slower}",
-            expected=f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s",
+            text=f"the path takes {length_s:.6g} s{slower}",
+            expected=f"at most {longest_s:.6g} s, with SYNC every {period_s:g} s",
         )
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
@@ -127,11 +127,9 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
             q = np.array([np.nan])
     if not np.isfinite(q).all():
         Location(str(path)).refuse(
-            text=(
-                f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to "
-                f"{np.abs(table[:, 1:]).max():.3g}"
-            ),
-            expected="positions in rad or m with a smooth path through them",
+            text=f"no smooth path leads through rows {np.diff(time_s).min():.3g} s apart with "
+            f"positions of up to {np.abs(table[:, 1:]).max():.3g}",
+            advice="Give times in s and positions in rad or m",
         )
     return q
 
@@ -139,7 +137,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 def missing_limits(robot: Robot) -> list[str]:
     """Return the limits that motion needs and the description does not state, in words."""
     return [
-        f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
+        f"joint[{i}] ({joint.name}) has no {quantity.replace('_', ' ')} limit"
         for i, joint in enumerate(robot.joints)
         for quantity in ("position", "speed", "acceleration", "following_error")
         if joint.si(quantity) is None
@@ -151,7 +149,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     acceleration, or has none.
     """
     for problem in missing_limits(robot):
-        Location(place).refuse(text=problem, expected="one in robot.toml before anything moves")
+        Location(place).refuse(text=problem, advice="Add it to robot.toml before motion")
     # values that are not finite are refused below
     with np.errstate(over="ignore", invalid="ignore"):
         dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s

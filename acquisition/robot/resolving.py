@@ -38,7 +38,11 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
     and for a warning where another mapping is not that.
     """
     written = Location(place).given(
-        robot.bus, "bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`"
+        robot.bus,
+        "bus",
+        None,
+        advice="Describe the drives: remove `#: ` in robot.toml, or run "
+        "`robot-identify init --bus`",
     )
     seen = traffic or {}
     drives = tuple(
@@ -110,7 +114,9 @@ class _Objects:
             if self.dictionary is not None:
                 absent = cia.DictionaryEntry(problem=f"{self.file.dictionary} does not contain it")
                 why = self.dictionary.entries.get(number, absent).problem or why
-            self.at.refuse(key, name, "an object of the drive, or one in objects", text=why)
+            self.at.refuse(
+                key, name, text=why, advice="Name an object of the drive, or add it to objects"
+            )
         return cia.ObjectEntry(index=number[0], sub=number[1], type=self.types[number])
 
 
@@ -123,7 +129,7 @@ def _objects(robot: Robot, file: DriveFile, at: Location) -> _Objects:
         robot.files.get(dictionary_label(file.dictionary)),
         "dictionary",
         file.dictionary,
-        text="is missing next to the description",
+        text="the file is missing beside robot.toml",
     )
     dictionary = cia.load_dictionary(content, file.dictionary, file.node)
     types = cia.STANDARD | {k: e.type for k, e in dictionary.entries.items() if e.type} | stated
@@ -150,7 +156,7 @@ def _drive(
             key,
             getattr(file, key),
             POSITION_TYPE,
-            text=f"is {found.type}",
+            text=f"its type is {found.type}",
         )
     extras = tuple(objects.entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
@@ -186,9 +192,11 @@ def _drive(
             for (index, sub), text in mapped.items()
             if isinstance(text, str) and 0x1800 <= index < 0x1C00
         ] + [f": {confirmed.refused}" if confirmed and confirmed.refused else ""]
-        Location(place).refuse(
-            text=f"{at.table}.mapping: no PDO from the drive carries {absent[0]}{reasons[0]}",
-            expected=f"one ({file.mapping})",
+        at.refuse(
+            "mapping",
+            file.mapping,
+            text=f"no PDO from the drive carries {absent[0]}{reasons[0]}",
+            advice="Map it",
         )
     return drive
 
@@ -235,14 +243,16 @@ def _pdos(
             written.can_id or cia.usual_can_id(way, number, objects.file.node),
             f"{way}[{k}].can_id",
             None,
-            "an identifier: only the first four PDOs have a usual one",
+            text="only the first four PDOs have a usual identifier",
+            advice="Give an identifier",
         )
         pdos.append(cia.Pdo(number=number, can_id=can_id, entries=entries))
         at.require(
             pdos[-1].bits <= cia.MAX_PDO_BITS,
             f"{way}[{k}].objects",
-            text=f"{' + '.join(str(e.bits // 8) for e in entries)} = {pdos[-1].length} bytes",
-            expected="8 at most; use a second PDO",
+            text=f"they take {' + '.join(str(e.bits // 8) for e in entries)} = "
+            f"{pdos[-1].length} bytes, more than 8",
+            advice="Use a second PDO",
         )
     return tuple(pdos)
 
@@ -266,22 +276,22 @@ def _effort(
         f"{word}_rule",
         None,
         f"one of {', '.join(cia.RULES)}",
-        text=f"{entry} ({entry.type}) is not known",
+        text=f"the unit of {entry} ({entry.type}) is unknown",
     )
     rule = cia.RULES[name]
     rated: float = at.given(
         getattr(file, rule.rated) if rule.rated else 1.0,
         rule.rated,
         None,
-        f"the rated value that {name!r} multiplies",
+        advice=f"Give the rated value that {name!r} multiplies",
     )
     sign = file.effort_sign or file.sign
     at.require(
         rule.unit == motor.recorded_unit,
         f"{word}_rule",
         name,
-        f"{motor.recorded_unit} as motor {motor.name!r} says, or {rule.unit} as effort_unit",
-        text=f"gives {rule.unit}",
+        text=f"it gives {rule.unit}, but motor {motor.name!r} has {motor.recorded_unit}",
+        advice=f"Correct it, or set effort_unit = {rule.unit!r}",
     )
     return cia.EffortCodec(
         entry=entry,

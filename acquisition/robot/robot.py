@@ -39,9 +39,12 @@ MAX_JOINT_GUARDS = {
     "speed_m_s": 20.0,
 }
 _OTHER_FILES = {  # by their first byte
-    b"<": ("is a URDF", "; `robot-identify init {0} -o robot.toml` makes one"),
-    b"{": ("is a JSON file", "; `robot-identify export {0} --toml robot.toml` makes one of a fit"),
-    b"\x89": ("is a recording", ""),
+    b"<": ("a URDF", "Make a robot.toml from it: `robot-identify init {0} -o robot.toml`"),
+    b"{": (
+        "a JSON file",
+        "Make a robot.toml from a fit: `robot-identify export {0} --toml robot.toml`",
+    ),
+    b"\x89": ("a recording", "Pass the robot.toml"),
 }
 # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 _MESH = "mesh:"
@@ -114,7 +117,9 @@ class Robot:
         """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
             Location(f"robot {self.name}").refuse(
-                "controller.bandwidth_hz", None, "the bandwidth of the position loop, Hz"
+                "controller.bandwidth_hz",
+                None,
+                advice="Give the bandwidth of the position loop in Hz",
             )
         return self.controller.bandwidth_hz
 
@@ -198,10 +203,10 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     path = Path(path)
     place = Location(str(path))
     files = {"robot.toml": read_bytes(path)}
-    text, way_out = _OTHER_FILES.get(
+    kind, way_out = _OTHER_FILES.get(
         files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1], ("", "")
     )
-    place.require(not text, text=text, expected=f"a robot.toml{way_out.format(path)}")
+    place.require(not kind, text=f"this is {kind}, not a robot.toml", advice=way_out.format(path))
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
     _refuse_wide_guards(document, place)
@@ -218,7 +223,8 @@ def load_robot(path: str | PathLike[str]) -> Robot:
                 place.refuse(
                     f"bus.drive[{i}].extra[{k}]",
                     extra,
-                    f"{extra['object']!r} alone: frames hold its raw integer",
+                    text="a table has no effect, because frames contain raw integers",
+                    advice=f"Write {extra['object']!r} alone",
                     shown="a table",
                 )
         if drive.dictionary is not None:
@@ -242,10 +248,12 @@ def _refuse_idle_keys(c: Controller, place: Location) -> None:
             value is None,
             name,
             list(value) if isinstance(value, tuple) else value,
-            "controller.structure with it"
+            text="it has no effect without controller.structure"
             if c.structure is None
-            else f"none, structure = {c.structure!r} has no integral",
-            text="does nothing",
+            else f"it has no effect with structure = {c.structure!r}",
+            advice="Give controller.structure, or remove it"
+            if c.structure is None
+            else "Remove it",
         )
 
 
@@ -255,7 +263,7 @@ def _refuse_wide_guards(document: RobotFile, place: Location) -> None:
         for name, most in guards.items():
             value = getattr(stated, name, None)  # also without a bus
             place.at(table).require(
-                value is None or value <= most, name, value, f"{most:g} at most"
+                value is None or value <= most, name, value, f"at most {most:g}"
             )
 
 
@@ -264,7 +272,7 @@ def _companion(path: Path, name: str, key: str) -> bytes:
         return (path.parent / name).read_bytes()
     except (OSError, ValueError) as error:  # the latter for a zero character in the name
         Location(str(path)).refuse(
-            key, name, text=f"cannot be read: {getattr(error, 'strerror', error)}"
+            key, name, text=f"the file cannot be read: {getattr(error, 'strerror', error)}"
         )
 
 
@@ -277,7 +285,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     """
     at = Location(place)
     if "robot.toml" not in files:
-        at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
+        at.refuse(text="the recording has no robot.toml attached")
     f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
         try:
@@ -285,14 +293,14 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
                 f, controller=parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
             )
         except InvalidValueError as refusal:
-            at.refuse(*refusal.args)
+            at.refuse(*refusal.args[:2], **refusal.args[2])
     urdf = None
     if f.urdf is not None:
         at.require(
             "robot.urdf" in files,
             "urdf",
             f.urdf,
-            text="the URDF is missing next to the description",
+            text="the URDF is missing beside robot.toml",
         )
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
         # a typing error; the model looks at the tree
@@ -300,7 +308,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
             f.payload.frame is None or f.payload.frame in urdf,
             "payload.frame",
             f.payload.frame,
-            "a link of the URDF",
+            text="the URDF has no such link",
+            advice="Name a link of the URDF",
         )
     R = (
         np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
@@ -380,7 +389,7 @@ def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Location) ->
             0 <= effort < math.inf,
             f"urdf: joint {joint.name}: effort",
             text,
-            "a number from 0; 0 states none",
+            "0 or greater (0: no limit)",
         )
         if effort and joint.si("effort") is None:
             joint = msgspec.structs.replace(joint, **{joint.key("effort"): effort})

@@ -20,6 +20,24 @@ T = TypeVar("T")
 MAX_TOML_BYTES = 256 * 1024
 MAX_LINE_BYTES = 2000
 
+# Of msgspec's messages, in the words of TOML.
+_WORDS = {
+    "Object contains unknown field": "there is an unknown key",
+    "Object missing required field": "a key is missing:",
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`str`": "a text",
+    "`bool`": "true or false",
+    "`array`": "a list",
+    "`object`": "a table",
+    " of length >= ": " of a length of at least ",
+    " of length <= ": " of a length of at most ",
+    " >= ": " of at least ",
+    " <= ": " of at most ",
+    " > ": " greater than ",
+    " < ": " less than ",
+}
+
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 
@@ -36,15 +54,21 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     the types cannot express.
     """
 
-    def require(self, holds: object, key: str, value: object, expected: str) -> None:
+    def require(self, holds: object, key: str, value: object, says: str | tuple[str, str]) -> None:
         """Refuse the value of a key of this table unless a condition holds; `parse_toml` adds the
         place of the table.
         """
         if not holds:
-            raise InvalidValueError(key, value, expected)
+            raise InvalidValueError(
+                key,
+                value,
+                {"expected": says}
+                if isinstance(says, str)
+                else dict(zip(("text", "advice"), says, strict=True)),
+            )
 
-    def require_all(self, *rules: tuple[object, str, object, str]) -> None:
-        """Require several conditions, in order: each with key, value and what is expected."""
+    def require_all(self, *rules: tuple[object, str, object, str | tuple[str, str]]) -> None:
+        """Require several conditions in order, each with the arguments of `require`."""
         for rule in rules:
             self.require(*rule)
 
@@ -61,24 +85,25 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
         file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}",
-            expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most",
+            text=f"the file has {len(text)} bytes and a line of {longest} bytes",
+            expected=f"at most {MAX_TOML_BYTES} and {MAX_LINE_BYTES}",
         )
     try:
         data = tomllib.loads(text.decode("utf-8"))
         for key, number in _not_finite(data, ""):
             file.refuse(key, number, "a finite number")
     except (ValueError, RecursionError) as error:  # bad UTF-8 and endless digits raise the first
-        file.refuse(text=f"not valid TOML: {error}")
+        file.refuse(text=f"this is not valid TOML: {error}")
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         message, _, where = str(error).rpartition(" - at `$")
         message, path = (message, where[:-1].lstrip(".")) if message else (str(error), "")
         if isinstance(error.__cause__, InvalidValueError):
-            file.at(path).refuse(*error.__cause__.args)
+            file.at(path).refuse(*error.__cause__.args[:2], **error.__cause__.args[2])
         if message.startswith("Invalid enum value"):
             message = f"Expected one of {', '.join(map(repr, _choices(kind, path)))}"
+        message = re.sub("|".join(_WORDS), lambda found: _WORDS[found[0]], message)
         expected = message.removeprefix("Expected ") if message.startswith("Expected ") else ""
         value = _value_at(data, path)
         found = {} if value is None or isinstance(value, dict | list) else {"value": value}

@@ -194,7 +194,12 @@ def refuse_outputs(
             report.suffix in (".md", ".html"), "ending", report.suffix, ".md or .html"
         )
     refuse_clash(
-        inputs, *outputs, report, overwrite=overwrite, of_kinds={"rrd": picture, **of_kinds}
+        inputs,
+        *outputs,
+        report,
+        overwrite=overwrite,
+        option="out",
+        of_kinds={"rrd": picture, **of_kinds},
     )
     for output in (*outputs, report, *of_kinds.values()):
         if output is not None:

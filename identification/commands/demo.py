@@ -121,7 +121,7 @@ def _simulated_robot(options: argparse.Namespace, *names: str) -> tuple["Robot",
     from ..study import description
 
     place, outputs = description(options.robot), (options.out / name for name in names)
-    refuse_clash([], *outputs, overwrite=options.overwrite, option="--out")
+    refuse_clash([], *outputs, overwrite=options.overwrite, option="out")
     robot = load_robot(place)
     make_folder(options.out)
     return robot, str(place)

@@ -385,8 +385,8 @@ def test_urdf_as_robot_toml_is_reported(tmp_path, monkeypatch, capsys):
     (tmp_path / "folder" / "arm.urdf").write_text('<?xml version="1.0"?><robot name="a"/>')
     monkeypatch.chdir(tmp_path)
     told = (
-        "folder/arm.urdf: is a URDF: expected a robot.toml; `robot-identify init "
-        "folder/arm.urdf -o robot.toml` makes one"
+        "folder/arm.urdf: this is a URDF, not a robot.toml. Make a robot.toml from it: "
+        "`robot-identify init folder/arm.urdf -o robot.toml`."
     )
     for program, command in (
         (acquire, "check"),

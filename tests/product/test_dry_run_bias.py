@@ -134,7 +134,7 @@ def test_check_and_report_note_ripple(monkeypatch):
         return ripple_notes(robot.bus, robot.controller.bandwidth_hz)
 
     (text,) = notes_of(at_10_hz)
-    assert "inertia may be off by 0.5 %" in text
+    assert "inertia may be wrong by 0.5 %" in text
     changes = (
         ("period_s = 0.002", "period_s = 0.001"),
         ('reference = "6074"', 'actual = "6077"'),
@@ -159,7 +159,7 @@ def test_one_demand_per_sync_is_a_note():
     ]
     robot = replace(signals.robot, bus=msgspec.structs.replace(signals.robot.bus, drive=drives))
     signals = replace(signals, robot=robot)
-    fit, told = identify_ls(signals, Overrides()), "torque (6074) is read once per SYNC"
+    fit, told = identify_ls(signals, Overrides()), "the torque demand value (6074) is read once"
     assert [note[: len(told)] for note in fit.notes] == [told]
     assert not [line for line in fit.warnings if "SYNC" in line]
     verdict = fit_document(fit_file(fit)).sections[0]

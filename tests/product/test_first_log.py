@@ -115,10 +115,10 @@ def test_incomplete_map_is_named(tmp_path, monkeypatch, capsys):
     ]
     assert not Path("log.mcap").exists()
     assert acquire(command) == 1
-    expected = "expected values instead, then the same command again"
+    advice = "Complete these lines and run the same command again."
     assert (
         capsys.readouterr().err
-        == f"robot-acquire: x.map.toml: lines = {lines}: still have FILL IN: {expected}\n"
+        == f"robot-acquire: x.map.toml: lines = {lines}: they still contain FILL IN. {advice}\n"
     )
     text = Path("x.map.toml").read_text()
     for unit, value in (("unit", "rad"), ("unit", "N m"), ("side", "joint")):

@@ -58,7 +58,7 @@ def test_output_keeps_file_of_other_kind(program, command, options, tmp_path, mo
             assert program.main([*command.split(), option, str(there)]) == 1
             printed, said = capsys.readouterr()
             assert (printed, said.count("\n")) == ("", 1)  # before any work
-            assert f": {there}: already exists and is a " in said, name
+            assert f": {there}: the file already exists and is a " in said, name
             assert there.read_bytes() == content
             assert [path.name for path in tmp_path.iterdir()] == [there.name]
             there.unlink()

@@ -199,11 +199,11 @@ def test_velocity_is_compared_with_derivative(signals):
     fit = identification.fit(*arrays, method="wls", velocity=0.8 * speed)
     np.testing.assert_array_equal(fit.evidence.problem.signals.velocity, 0.8 * speed)
     assert [text.split(", ")[0] for text in fit.warnings if "velocity" in text] == [
-        f"recording: velocity of joint {name} = 0.8 x the derivative of its position"
+        f"recording: the velocity of joint {name} is 0.8 times the derivative of its position"
         for name in ("shoulder", "elbow")
     ]
     with pytest.raises(
-        acquisition.BadInputError, match="arrays: velocity of joint shoulder = -1 x the derivative"
+        acquisition.BadInputError, match="arrays: the velocity of joint shoulder is -1 times the"
     ):
         identification.fit(*arrays, velocity=-speed)
 

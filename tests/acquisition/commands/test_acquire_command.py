@@ -110,8 +110,11 @@ def test_known_errors_are_one_line_without_files(folder, capsys, monkeypatch):
     Path("robot.toml").write_text(bus_text(2, channel="nobody"))
     before, of_robot = sorted(folder.iterdir()), ["--robot", str(SCARA), "--map", "map.toml"]
     for command, told in (
-        (["import", "a.csv", *of_robot, "-o", str(folder)], "found a folder or a device"),
-        (["info", "a\nb.mcap"], "a b.mcap: cannot be read"),
+        (
+            ["import", "a.csv", *of_robot, "-o", str(folder)],
+            "a folder or a device cannot be replaced",
+        ),
+        (["info", "a\nb.mcap"], "a b.mcap: the file cannot be read"),
         (["import", "a.mcap", "a.mcap", "-o", "out"], "a second recording: expected one"),
         (["import", "a.mcap", "-o", "out", "--payload", "2"], "--payload = '2': expected none"),
         (
@@ -163,8 +166,8 @@ def test_inputs_are_not_replaced(folder, capsys):
     for out in (folder / "a.csv", folder / "map.toml", robot):
         arguments = import_command(folder, out)
         arguments[3] = str(robot)
-        assert "is an input too" in refused(capsys, arguments)
-    assert "is an input too" in refused(capsys, ["import", str(log), "-o", str(log)])
+        assert "the output is also an input" in refused(capsys, arguments)
+    assert "the output is also an input" in refused(capsys, ["import", str(log), "-o", str(log)])
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -177,7 +180,7 @@ def test_recording_is_not_replaced(folder, capsys, command, name, content):
     output = "--csv" if command == "info" else "-o"
     arguments = [*command.split(), "missing", *of_robot, output, str(log)]
     told = refused(capsys, arguments)
-    assert told.startswith(f"robot-acquire: {log}: already exists")
+    assert told.startswith(f"robot-acquire: {log}: the file already exists")
     assert ("--overwrite" in told) == (command != "info")
     if command != "info":
         assert "already exists" not in refused(capsys, [*arguments, "--overwrite"])

@@ -113,11 +113,18 @@ def test_matrix_parts_by_index_and_label(tmp_path):
     assert refused(path, ["data.s"], 3) == "row 3: data.s(:,2) = nan: expected a finite number"
     assert np.array_equal(read_columns(path, ["q(:,3)", "q(:,1:2)"], 3), Q[:, [2, 0, 1]])
     assert np.array_equal(read_columns(path, ["data.r(2:3, :)", "q(:, 1)"], 3), Q[:, [1, 2, 0]])
-    assert refused(path, ["q(:,4)"], 1) == "variable 'q(:,4)': the matrix is 7 x 3: expected 1 to 3"
-    assert refused(path, ["q(0,:)"], 1) == "variable 'q(0,:)': the matrix is 7 x 3: expected 1 to 7"
+    assert (
+        refused(path, ["q(:,4)"], 1)
+        == "variable 'q(:,4)' exceeds the matrix, which is 7 x 3: expected 1 to 3"
+    )
+    assert (
+        refused(path, ["q(0,:)"], 1)
+        == "variable 'q(0,:)' exceeds the matrix, which is 7 x 3: expected 1 to 7"
+    )
     assert (
         refused(path, ["q(1,2)"], 1)
-        == "variable 'q(1,2)': expected (:,k) for columns or (k,:) for rows"
+        == "variable 'q(1,2)' selects neither columns nor rows: expected (:,k) for columns, or "
+        "(k,:) for rows"
     )
     assert "does not exist" in refused(path, ["q(1)"], 1)
 
@@ -126,13 +133,14 @@ def test_ambiguous_shape_is_refused(tmp_path):
     square = Q[:3]
     path = mat(tmp_path, {"q": square, "wide": Q[:, :2], "short": T[:5]})
     assert refused(path, ["q"], 3) == (
-        "q 3 x 3: samples may be rows or columns: expected 'q(:,1:3)' if rows are samples, "
-        "'q(1:3,:)' if columns are"
+        "q 3 x 3: its samples may be rows or columns. Write 'q(:,1:3)' if rows are samples, "
+        "'q(1:3,:)' if columns are."
     )
     assert np.array_equal(read_columns(path, ["q(:,1:3)"], 3), square)
     assert np.array_equal(read_columns(path, ["q(1:3,:)"], 3), square.T)
     one_length = "expected variables of one length, 3 columns in all"
-    assert refused(path, ["wide", "short"], 3) == f"wide 7 x 2, short 1 x 5: {one_length}"
+    apart = "the variables do not fit together: "
+    assert refused(path, ["wide", "short"], 3) == f"{apart}wide 7 x 2, short 1 x 5: {one_length}"
     # 14 + 7 numbers would be 7 rows of 3; but here the name says that each row of three is a joint.
     path = mat(tmp_path, {"q": Q[:, :2].T, "t": T})
-    assert refused(path, ["q(:,1:7)", "t"], 3) == f"q(:,1:7) 2 x 7, t 1 x 7: {one_length}"
+    assert refused(path, ["q(:,1:7)", "t"], 3) == f"{apart}q(:,1:7) 2 x 7, t 1 x 7: {one_length}"

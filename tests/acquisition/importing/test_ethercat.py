@@ -68,7 +68,10 @@ def check(samples: np.ndarray, bus: made_up.Bus, spoilt: set[int] = frozenset())
 
 
 IMAGES = ["lrd_lwr", "lrw", "overlap", "frames"]
-NO_REFERENCE = "no reference: the targets are not mapped, or not in frames on their way out"
+NO_REFERENCE = (
+    "no reference is imported: the targets are not mapped, or frames to the slaves were not "
+    "captured"
+)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +141,9 @@ def test_stations_from_robot_toml_or_bus(tmp_path):
     )
     samples = imported(tmp_path, content, swapped)[0].samples
     np.testing.assert_array_equal(samples["position"], plain["position"][:, ::-1])
-    assert "no mapping of station 7 for motor_1" in refusal(tmp_path, content, wrong)
+    assert "the mapping of station 7 for motor_1 was not captured" in refusal(
+        tmp_path, content, wrong
+    )
 
 
 WHOLE = "0x6041:16,0x6061:8,0:8,0x6064:32,0x6077:16"
@@ -157,9 +162,12 @@ def test_capture_begun_in_operation_needs_mapping(tmp_path, image):
     recording, _ = imported(tmp_path, content, mapping=STATED[image])
     check(recording.samples, bus)
     assert len(recording.samples) == 100
-    missing = r"no mapping of inputs is in it; it has LR[DW] .* bytes at 0x10000.*mapping"
+    missing = (
+        r"no mapping of inputs was captured; the capture has LR[DW] .* bytes at 0x10000.*mapping"
+    )
     assert re.search(missing, refusal(tmp_path, content))
-    assert "mapping has 160 bits; it has" in refusal(tmp_path, content, mapping=[WHOLE, WHOLE])
+    told = refusal(tmp_path, content, mapping=[WHOLE, WHOLE])
+    assert "no datagram has the 160 bits of the given mapping; the capture has" in told
 
 
 def test_given_mapping_fills_missing_objects(tmp_path):
@@ -168,7 +176,7 @@ def test_given_mapping_fills_missing_objects(tmp_path):
     content = made_up.pcap(bus.packets(100))
     check(imported(tmp_path, content, mapping=[WHOLE] * 2)[0].samples, bus)
     told = refusal(tmp_path, content, mapping=[WHOLE + GAP] * 2)
-    assert "station 1002: 1C13 maps 128 bits, sync manager 3 has 80" in told
+    assert "station 1002: 1C13 maps 128 bits, but sync manager 3 has 80" in told
 
 
 def test_missing_parts_are_named(tmp_path):
@@ -176,10 +184,10 @@ def test_missing_parts_are_named(tmp_path):
     packets = bus.packets(100)
     out = made_up.pcap([packet for packet in packets if not packet[1][6] & 2])
     assert re.search(
-        "no process data come back from the slaves.*both directions", refusal(tmp_path, out)
+        "no process data came back from the slaves.*both directions", refusal(tmp_path, out)
     )
     assert re.search(
-        "no process data come back.*it has .nothing.", refusal(tmp_path, made_up.pcap(bus.start()))
+        "no process data came back.*has .nothing.", refusal(tmp_path, made_up.pcap(bus.start()))
     )
     check(
         imported(tmp_path, made_up.pcap([packet for packet in packets if packet[1][6] & 2]))[
@@ -193,7 +201,7 @@ def test_missing_parts_are_named(tmp_path):
     assert "reference" not in recording.samples.dtype.names
     assert found.warnings == (NO_REFERENCE,)
     told = refusal(tmp_path, made_up.pcap(packets), robot_of(robot_text(period_s=0.002)))
-    assert "a cycle came every 1 ms; bus.sync_period_s = 0.002 in robot.toml" in told
+    assert "a cycle came every 1 ms, but bus.sync_period_s is 0.002 in robot.toml" in told
 
 
 def test_low_working_counter_gives_no_row(tmp_path):
@@ -212,7 +220,7 @@ def test_truncated_file_is_read_to_its_end(tmp_path):
     for content in (made_up.pcap(bus.packets(100)), made_up.pcapng(bus.packets(100))):
         recording, found = imported(tmp_path, content[:-200])
         assert check(recording.samples, bus).max() in (97, 98)
-        assert any("cut within a packet at byte" in text for text in found.warnings)
+        assert any("the file ends within a packet at byte" in text for text in found.warnings)
 
 
 def test_duplicate_frames(tmp_path):
@@ -220,7 +228,7 @@ def test_duplicate_frames(tmp_path):
     doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(100) for k in (0, 1)]
     recording, found = imported(tmp_path, made_up.pcap(sorted(doubled)))
     np.testing.assert_array_equal(check(recording.samples, bus), np.arange(1, 100))
-    assert "100 doubled rows" in found.times
+    assert "100 duplicate rows" in found.times
 
 
 @pytest.mark.parametrize(
@@ -245,7 +253,7 @@ def test_changed_station_order_is_refused(tmp_path):
     at = frame.index(b"\x02\x00\x10\x00")
     packets[1] = (time_ns, frame[:at] + b"\x00" + frame[at + 1 :])
     told = refusal(tmp_path, made_up.pcap(packets))
-    assert re.search(r"station 100[12] that came back is not the one that went out", told)
+    assert re.search(r"station 100[12] that came back differs from the one that was sent", told)
 
 
 def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:

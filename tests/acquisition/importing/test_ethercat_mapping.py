@@ -130,7 +130,9 @@ def test_without_answers_writes_count_with_warning(tmp_path):
     bus = made_up.Bus(answers=False)
     samples, warnings = imported(tmp_path, bus)
     check(samples, bus)
-    assert warnings == ("no answer of a slave is in it: what was written to map objects counts",)
+    assert warnings == (
+        "the capture contains no answers of slaves: the mapping is what the master wrote",
+    )
 
 
 def mail(bus: made_up.Bus, time_ns: int, sdo: bytes, *, answer: bool, service: int = 2) -> list:

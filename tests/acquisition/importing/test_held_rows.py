@@ -69,7 +69,7 @@ def test_table_is_imported_at_source_rate(tmp_path, capsys, times):
     recording = read_recording(Path(out))
     assert recording.sample_rate_hz == 125
     np.testing.assert_allclose(recording.samples["position"], parts["position"][::4], atol=1e-8)
-    assert "new at 125 Hz" in capsys.readouterr().out
+    assert "new ones come at 125 Hz" in capsys.readouterr().out
 
 
 RATES = [(125, 200), (125, 500), (100, 500), (167, 500), (250, 1000), (400, 500)]
@@ -85,8 +85,8 @@ def test_new_rows_keep_source_times(source_hz, log_hz):
     for name, x in motion(t_s).items():
         np.testing.assert_allclose(found.parts[name], x, atol=1e-9)
     (told,) = found.warnings
-    assert f"each row stands {log_hz / source_hz:.2g} times" in told
-    assert f"new at {source_hz} Hz" in told
+    assert f"repeats each position {log_hz / source_hz:.2g} times" in told
+    assert f"new ones come at {source_hz} Hz" in told
 
 
 def test_jittering_source_becomes_even():

@@ -66,7 +66,8 @@ def refusal(
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
     error = caught.value
-    return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
+    says = error.expected or error.text or error.advice
+    return error.place.replace(f"{folder}/", ""), error.key, error.value, says
 
 
 def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
@@ -87,7 +88,8 @@ def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
     assert recording.attachments["robot.toml"] == ROBOT.encode()
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
     result = run(tmp_path, robot_from_files({"robot.toml": text.encode()}, "two"), MAP, table)
-    assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
+    told = "the effort of joint second reaches 20 N m, above its limit of 16 N m: check gain"
+    assert result.warnings == (f"{told}, ratio and unit",)
 
 
 def test_joint_side_is_unchanged(tmp_path, two, table):
@@ -180,42 +182,47 @@ GRID = np.arange(100) / 500
 @pytest.mark.parametrize(
     ("time_s", "rate", "place", "key", "value", "expected"),
     [
-        (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None, "0.002 s (2 rows missing)"),
-        (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None, "a later time"),
-        (GRID[::-1], "", "a.csv: t", "row 2", None, "a later time"),
+        (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None,
+         "it comes 0.006 s after the row before, not 0.002 s (2 rows missing)"),
+        (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None,
+         "its time, 0.014 s, is not later than the one before, 0.014 s"),
+        (GRID[::-1], "", "a.csv: t", "row 2", None,
+         "its time, 0.196 s, is not later than the one before, 0.198 s"),
         (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None,
-         "0.002 s (not uniform)"),
-        (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None, "0.0010792 s at most"),
+         "it comes 0.0023 s after the row before, not 0.002 s (not uniform)"),
+        (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None,
+         "it is 0.00392 s away from a uniform grid, more than 0.0010792 s"),
         (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0,
-         "500, the rate of the times"),
-        (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
+         "the times have a rate of 500 Hz"),
+        (GRID * 1e12, "", "a.csv", "", None, "at most 68 years and 100 MHz"),
     ],
 )  # fmt: skip
 def test_times_without_grid(tmp_path, two, time_s, rate, place, key, value, expected):
     rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
     (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
     found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
-    assert (*found[:3], found[3].split(";")[0]) == (place, key, value, expected)
-    assert ("time.resample_hz interpolates" in found[3]) == expected.startswith("0.0")
+    assert found == (place, key, value, expected)
 
 
-CELLS = "4, as in line 1, the names of the columns; delete lines above them"
+CELLS = "it has %s cells, but line 1, the column names, has 4"
 
 
 @pytest.mark.parametrize(
     ("content", "place", "key", "value", "expected"),
     [
-        ("", "a.csv", "", None, "a table"),
-        ("p1,p2,c1,c2\n", "a.csv", "", None, "numbers below the header"),
-        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml", "position", None, "2 at least"),
+        ("", "a.csv", "", None, "the file is empty"),
+        ("p1,p2,c1,c2\n", "a.csv", "", None, "the table has no numbers below its header"),
+        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml", "position", None,
+         "it has 1 row, but a recording needs 2"),
         ("p1,p2,c1\n1,2,3\n", "a.csv", "", None, "one of p1, p2, c1"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "a.csv: line 3", "c1", "x", "a number"),
         ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "a.csv: line 5", "c1", "", "a number"),
         ("p1;p2;c1;c2\n1;2;3;4\n1;2;1.003,5;4\n", "a.csv: line 3", "c1", "1.003.5", "a number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS % 3),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS % 5),
         ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),
-        ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
+        ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None,
+         "column 'p1' does not exist: the file has no header line"),
     ],
 )  # fmt: skip
 def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
@@ -227,25 +234,27 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
 @pytest.mark.parametrize(
     ("old", "new", "key", "value", "expected"),
     [
-        ("sample_rate_hz = 500", "", "sample_rate_hz", None, "it, or a [time] table"),
-        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
+        ("sample_rate_hz = 500", "", "sample_rate_hz", None, "Set it, or add a [time] table"),
+        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1,
+         "a number greater than 0.0"),
         ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008,
-         "a rate in Hz, not a period: 125?"),
-        ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
-        ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),
-        ('["p1", "p2"]', "[0, 1]", "", None, "a number from 1 to 4"),
+         "it looks like a period, not a rate"),
+        ('["p1", "p2"]', '["p1"]', "position.columns", None,
+         "the table has 1 such columns for 2 joints"),
+        ('["p1", "p2"]', "[1, 9]", "", None, "1 to 4"),
+        ('["p1", "p2"]', "[0, 1]", "", None, "1 to 4"),
         ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
         ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None,
-         "one, or 2, one per joint"),
+         "3 units are given for 2 joints"),
         ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None,
          "'motor' or 'joint'"),
-        ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A, as in robot.toml"),
-        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None,
-         "N m, as in robot.toml"),
-        ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A, as in robot.toml"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None, "N m"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A"),
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2,
-         "1 at most, the number of tables given"),
-        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
+         "at most 1, the number of tables"),
+        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None,
+         "there is an unknown key `scale`"),
         ("sample", 'effort_timing = "x"\nsample', "effort_timing", "x",
          "one of 'command', 'mean', 'measured', 'unknown'"),
     ],
@@ -325,7 +334,7 @@ def test_mat_mistakes(tmp_path, two):
         b"\x89HDF\r\n\x1a\n".ljust(512),
     ):
         path.write_bytes(content)
-        assert refusal(tmp_path, two, MAP, path)[3].startswith("version 7;")
+        assert "the version 7.3" in refusal(tmp_path, two, MAP, path)[3]
 
 
 SINGLE = (
@@ -384,7 +393,7 @@ def test_invalid_time_unit_or_column_length(tmp_path, two):
         "map.toml",
         "effort",
         None,
-        "3 as in position",
+        "it has 2 rows, but position has 3",
     )
 
 
@@ -397,5 +406,5 @@ def test_effort_timing_is_from_map(tmp_path, two, timing, table):
 def test_missing_files_are_named(tmp_path, two):
     assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
     assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
-    with pytest.raises(BadInputError, match=r"none\.toml: cannot be read: No such file"):
+    with pytest.raises(BadInputError, match=r"none\.toml: the file cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")

@@ -72,32 +72,32 @@ NOISE = 5e-4 * np.random.default_rng(1).standard_normal((len(T), 6))
 )
 def test_possible_motion_passes(q, told):
     found = check_recorded_positions(TX40, T, q, "log")
-    assert tuple(text.split(" at ")[0] if " at " in text else text for text in found) == told
+    assert tuple(text.split(" reaches ")[0] for text in found) == told
 
 
 @pytest.mark.parametrize(
     ("q", "words", "without"),
     [
-        (beyond(4, 0.51), ["joint joint_5 at"], ""),
-        (swinging(0, 3.2), ["joint joint_1 at"], ""),
-        (np.degrees(moving()), ["joint joint_1 at ", "limits -180 deg and 180 deg",
-                                "are they degrees, declared as rad"], ""),
-        (100 * np.degrees(moving()), ["expected"], "degrees"),
+        (beyond(4, 0.51), ["joint joint_5 reaches"], ""),
+        (swinging(0, 3.2), ["joint joint_1 reaches"], ""),
+        (np.degrees(moving()), ["joint joint_1 reaches ", "outside its limits of ±180 deg",
+                                "Check for degrees declared as rad"], ""),
+        (100 * np.degrees(moving()), ["Check unit"], "degrees"),
         # so small that it stays within the limits
-        (np.degrees(SLOW), ["speed", "degrees read as radians"], ""),
+        (np.degrees(SLOW), ["speed", "degrees declared as radians"], ""),
     ],
 )  # fmt: skip
 def test_impossible_motion_is_refused(q, words, without):
     told = refusal(q)
     assert all(word in told for word in words)
-    assert not without or without not in told.split("expected")[1]
+    assert not without or without not in told.split("Check")[1]
 
 
 @pytest.mark.parametrize("n", [40, 4000])
 def test_wrong_positions_refused_before_their_span(n):
     """A fit would else refuse a recording that is too short, or a joint that stands."""
     q = np.full((n, 6), 50.0)
-    with pytest.raises(BadInputError, match="limits -180 deg and 180 deg"):
+    with pytest.raises(BadInputError, match="limits of ±180 deg"):
         make_settings(signals_from_arrays(q, q, 1000.0, TX40), Overrides())
 
 
@@ -116,7 +116,7 @@ def test_default_axis_speed_limit_is_30_m_s():
     emps, w = dataclasses.replace(emps, joints=(axis,)), 2 * np.pi * 4
     swing = np.sin(w * T)[:, None] / w
     assert check_recorded_positions(emps, T, 29.0 * swing, "log") == ()
-    assert "joint axis at" in refusal(31.0 * swing, emps)
+    assert "joint axis reaches" in refusal(31.0 * swing, emps)
 
 
 @pytest.mark.parametrize(("ratio", "jump"), [(2.5, False), (4.0, True)])
@@ -136,7 +136,9 @@ def test_fit_refuses_impossible_motion(session):
     shifted = dataclasses.replace(
         session, q=session.q + np.array([high + 0.2 - session.q[:, 0].max(), 0])
     )
-    assert any("joint shoulder at" in text for text in make_settings(shifted, Overrides()).warnings)
+    assert any(
+        "joint shoulder reaches" in text for text in make_settings(shifted, Overrides()).warnings
+    )
 
 
 def test_real_records_pass_wrong_ratio_is_refused(tmp_path, emps, tx40):
@@ -151,7 +153,7 @@ def test_real_records_pass_wrong_ratio_is_refused(tmp_path, emps, tx40):
     motor = type(robot.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
     fast = dataclasses.replace(robot, motors=(motor,), R=np.array([[0.1]]))
     with pytest.raises(
-        BadInputError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"
+        BadInputError, match=r"DATA_EMPS.mat: joint axis reaches .* m at .* s, outside .* ±0.15 m"
     ):
         import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
     assert not out.exists()
@@ -232,9 +234,9 @@ def limited(signals: Signals, effort_nm: float) -> Signals:
 def test_fit_beyond_effort_limit_is_not_trusted(session):
     fit = identify(limited(session, 0.01), Overrides(), method="iv")
     (line,) = (line for line in fit.trust.lines if line.test == "effort")
-    assert line.text.startswith("effort of joint shoulder up to ")
+    assert line.text.startswith("the effort of joint shoulder reaches ")
     assert line.text.split(": check")[0].split("; ") == [
-        text for text in fit.warnings if text.startswith("effort of ")
+        text for text in fit.warnings if text.startswith("the effort of ")
     ]
     assert (fit.trust.verdict, fit.trust.finding) == ("caution", "effort beyond its limit")
 
@@ -242,8 +244,10 @@ def test_fit_beyond_effort_limit_is_not_trusted(session):
 def test_effort_over_limit_warns_with_known_gains(session):
     assert check_recorded_efforts(urdf_arm(), np.array([[10.0, 40.0], [-35.9, -47.9]])) == ()
     told = (
-        "effort of joint elbow up to 36.1 N m: limit 30 N m",
-        "effort of joint rail up to 48.1 N: limit 40 N",
+        "the effort of joint elbow reaches 36.1 N m, above its limit of 30 N m: check gain, ratio "
+        "and unit",
+        "the effort of joint rail reaches 48.1 N, above its limit of 40 N: check gain, ratio and "
+        "unit",
     )
     assert check_recorded_efforts(urdf_arm(), np.array([[-36.1, 48.1]])) == told
     low = limited(session, 0.01)

@@ -331,7 +331,7 @@ REFUSED = {
         Q[LOST], burst(10)[LOST], a_map(RATE.format(250)), 1, "time.resample_hz = 250"
     ),
     "another rate than that of the bursts": (
-        Q, burst(10), a_map(RATE.format(500)), 1, "expected 250.0"
+        Q, burst(10), a_map(RATE.format(500)), 1, "Set it to 250.0"
     ),
 }  # fmt: skip
 

@@ -70,7 +70,7 @@ def test_missing_duplicate_and_short_pdos():
     found = decoded(intervals)
     right(found, lost=(10, 30))
     assert (found.counters["uncertain"], found.syncs_lost) == (2, 1)
-    assert "1 SYNC were answered but not recorded" in found.warnings
+    assert "1 SYNC were answered but not recorded: their times are interpolated" in found.warnings
 
 
 def test_other_frames_are_ignored():
@@ -94,13 +94,15 @@ def test_other_frames_are_ignored():
 def test_wrong_period_is_refused(way):
     """By more than 5 %, and warned of by more than 1 %."""
     warned = decoded(session(period_ns=2_000_000 + way * 98_000))
-    assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
+    assert warned.warnings[0].endswith(
+        "ms, not every 2 ms as robot.toml says: correct sync_period_s"
+    )
     with pytest.raises(BadInputError) as caught:
         decoded(session(period_ns=2_000_000 + way * 102_000))
     assert str(caught.value).startswith(
-        f"log: SYNC came every {2 + way * 0.102:.4g} ms; bus.sync_period_s = 0.002 in "
+        f"log: SYNC came every {2 + way * 0.102:.4g} ms, but bus.sync_period_s is 0.002 in "
     )
-    assert caught.value.expected.startswith(f"{2e-3 + way * 102e-6:.3g};")
+    assert caught.value.advice.startswith(f"Set it to {2e-3 + way * 102e-6:.3g} and import")
 
 
 def test_sync_pause_keeps_period():
@@ -112,7 +114,8 @@ def test_sync_pause_keeps_period():
     (gap,) = gaps(found.samples, 500.0)
     assert (gap.row, gap.missing) == (24, 50)
     assert found.warnings == (
-        "SYNC paused 1 times for more than 1.5 periods, the longest 102 ms at 0.048 s",
+        "SYNC paused 1 times for more than 1.5 periods, the longest for 102 ms at 0.048 s: samples "
+        "are missing there",
     )
 
 
@@ -134,8 +137,8 @@ def test_wrapping_counter_continues(way, at_once, monkeypatch):
     assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
     told = (
-        f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are "
-        "continued"
+        f"motor_1: the position counter wrapped 2 times, first at {first_s:g} s: positions "
+        "continue across it"
     )
     assert found.warnings == (told,)
 
@@ -143,9 +146,9 @@ def test_wrapping_counter_continues(way, at_once, monkeypatch):
 @pytest.mark.parametrize(
     ("intervals", "expected"),
     [
-        ([], "log: 0 SYNC"),
+        ([], "log: only 0 of 0 frames are SYNC"),
         (session(1), "no frame 0x182 of 8 bytes"),
-        (session(2, 1), "log: 1 SYNC"),
+        (session(2, 1), "log: only 1 of 3 frames are SYNC"),
     ],
 )
 def test_undecodable_frames(intervals, expected):

@@ -100,8 +100,8 @@ def test_counter_wrap_in_dropped_frames_continues(tmp_path):
 @pytest.mark.parametrize(
     ("harm", "text"),
     [
-        (lambda path: path.unlink(), "is gone"),
-        (lambda path: os.truncate(path, 100), "was cut"),
+        (lambda path: path.unlink(), "was moved or deleted"),
+        (lambda path: os.truncate(path, 100), "was truncated to 100 bytes"),
         (
             lambda path: Path(shutil.copy(path, path.with_suffix(".new"))).rename(path),
             "was replaced",

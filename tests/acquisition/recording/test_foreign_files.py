@@ -71,14 +71,14 @@ def test_chunk_size_is_optional(tmp_path, whole, compression, compress):
 @pytest.mark.parametrize(
     ("compression", "compress", "problem"),
     [
-        ("zstd", lambda x: without_size(x + bytes(10**7)), r"a chunk of \d+ bytes: expected"),
-        ("zstd", lambda x: without_size(x)[:-4], r"damaged at byte .* a chunk of \d+ bytes"),
-        ("lz4", lambda x: lz4.frame.compress(x + bytes(10**7)), r"a chunk of \d+ bytes: expected"),
-        ("lz4", lambda x: lz4.frame.compress(x)[:-9], r"damaged at byte .* a chunk of \d+ bytes"),
+        ("zstd", lambda x: without_size(x + bytes(10**7)), r"a chunk has \d+ bytes, expected"),
+        ("zstd", lambda x: without_size(x)[:-4], r"damaged at byte .* a chunk has \d+ bytes"),
+        ("lz4", lambda x: lz4.frame.compress(x + bytes(10**7)), r"a chunk has \d+ bytes, expected"),
+        ("lz4", lambda x: lz4.frame.compress(x)[:-9], r"damaged at byte .* a chunk has \d+ bytes"),
         ("lz4", lambda x: b"\x04\x22\x4d\x18" + x, "damaged at byte .* LZ4"),
-        ("", lambda x: x[:-1], r"a chunk of \d+ bytes: expected"),
+        ("", lambda x: x[:-1], r"a chunk has \d+ bytes, expected"),
         ("", lambda x: x[:-1] + b"\7", "CRC is"),
-        ("br", bytes, r"a\.mcap: has chunks compressed by 'br': expected 'zstd', 'lz4' or none"),
+        ("br", bytes, r"a\.mcap: its chunks are compressed by 'br': expected 'zstd', 'lz4' or"),
     ],
 )
 def test_inconsistent_chunks(tmp_path, whole, compression, compress, problem):
@@ -104,8 +104,8 @@ def test_foreign_topics_are_accepted(tmp_path, whole):
 @pytest.mark.parametrize(
     ("more", "problem"),
     [
-        (message(EVENTS, b"{}", b"other"), f"{EVENTS} changes its layout: expected one recording"),
-        (message(SAMPLES, b"", b"[]"), f"{SAMPLES} changes its layout: expected one recording"),
+        (message(EVENTS, b"{}", b"other"), f"the layout of {EVENTS} changes: merged recordings"),
+        (message(SAMPLES, b"", b"[]"), f"the layout of {SAMPLES} changes: merged recordings"),
         (lambda w: w.add_metadata("recording", {}), "a second metadata record 'recording'"),
         (lambda w: w.add_attachment(0, 0, "robot.toml", "", b""), "a second attachment 'robot"),
     ],
@@ -157,7 +157,7 @@ def test_recovery_of_nothing_fails(tmp_path, robot, of_blocks, capsys):
             data = cut.read_bytes()
     cut.write_bytes(data[: (first, -9, first + 40)[of_blocks]])
     assert main(["import", str(cut), "-o", str(out)]) == 1
-    assert f"{cut}: holds no samples and no frames before its cut" in capsys.readouterr().err
+    assert f"{cut}: the recording is truncated before its first sample" in capsys.readouterr().err
     assert not out.exists()
 
 

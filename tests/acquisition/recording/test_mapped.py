@@ -14,7 +14,7 @@ TABLE = robot_of(bus_text())
 STATUS, POSITION, DEMAND, ACTUAL = 0x60410010, 0x60640020, 0x60740010, 0x60770010
 OK, LOST, UNSEEN, SEVERAL = "ok", "answer lost", "request lost", "in segments"
 CANNOT_BE_MAPPED = 0x06040041
-SILENT = "no answer of a drive is in the log: what was written to map PDOs counts"
+SILENT = "the log contains no answers of drives: the mapping is what the master wrote"
 LEFT_OUT = "PDOs are left out: when they were sent, a drive had another mapping"
 
 
@@ -185,7 +185,7 @@ def test_unconfirmed_mapping_is_refused(steps, expected):
     with pytest.raises(BadInputError) as caught:
         of(talk(100, 1, *steps) + SECOND)
     assert expected in str(caught.value)
-    assert str(caught.value).startswith("robot.toml: bus.drive[0].mapping: ")
+    assert str(caught.value).startswith("robot.toml: bus.drive[0].mapping")
 
 
 STARTED = {
@@ -247,7 +247,7 @@ def test_pdos_of_other_mapping_are_skipped():
         found = of(before + USUAL, behind=after)
         all_true(found)
         assert found.warnings == (
-            f"{count} of {100 + count} {LEFT_OUT}, or one that is not in the log",
+            f"{count} of {100 + count} {LEFT_OUT}, or one that was not logged",
         )
 
 

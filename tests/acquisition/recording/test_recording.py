@@ -149,7 +149,7 @@ def test_recording_metadata(tmp_path, robot):
     assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
+GROWING, FINITE = "growing timestamps, 0 to 2147483647999999999", "a finite number"
 
 
 @pytest.mark.parametrize(
@@ -265,9 +265,9 @@ def test_writer_refuses_what_reader_refuses(tmp_path, robot):
             ),
             (
                 lambda: writer.frames("../x", some_frames(1)),
-                r"CAN channel '\.\./x': expected letters",
+                r"CAN channel '\.\./x' has an invalid name: expected letters",
             ),
-            (lambda: writer.frames("can0", some_samples(1)), "can0/frames: rows of"),
+            (lambda: writer.frames("can0", some_samples(1)), "can0/frames: the rows have the type"),
             (lambda: writer.event(-1, "phase", "track"), "stamp_ns = -1"),
         ):
             with pytest.raises(BadInputError, match=message):

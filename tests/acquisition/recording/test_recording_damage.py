@@ -94,7 +94,7 @@ def test_recovers_truncated_file(robot, tmp_path, with_frames):
     if with_frames:  # without SYNC: they do not decode
         *events, reason, copied = recovered.events
         assert reason.text.startswith("no samples: ")
-        assert copied.text.endswith("samples before the cut are copied")
+        assert copied.text.endswith("samples before the end are copied")
         recovered = replace(recovered, events=tuple(events))
     kept = {k: v for k, v in recovered.metadata.items() if k not in ("recovered_from", "crc32")}
     assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
@@ -109,10 +109,10 @@ def test_decompressed_size_is_limited(tmp_path, robot, whole, monkeypatch):
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
-    with pytest.raises(BadInputError, match=r"a chunk of 67108865 bytes: expected 67108864"):
+    with pytest.raises(BadInputError, match=r"a chunk has 67108865 bytes, expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
     monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
-    with pytest.raises(BadInputError, match="more than 10000 bytes unpacked"):
+    with pytest.raises(BadInputError, match="unpack to more than 10000 bytes"):
         read_recording(whole)
 
 
@@ -156,14 +156,18 @@ ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
 @pytest.mark.parametrize(
     ("metadata", "messages", "message"),
     [
-        ({}, [], "holds no metadata record 'recording': expected a recording"),
+        ({}, [], "the file has no metadata record 'recording'. Import a ROS 2 bag"),
         (
             {**GOOD, "schema_version": "3"},
             [("/x", "", b"")],
-            "schema_version = 3: expected 2 at most; a newer robot-",
+            "schema_version = 3: a newer version of .*: expected at most 2",
         ),
         ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
-        ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),
+        (
+            {**GOOD, "crc32": "00000000"},
+            [],
+            "crc32 = '00000000': the metadata are damaged: expected",
+        ),
         (
             {**GOOD, "sample_rate_hz": "nan"},
             [],
@@ -174,24 +178,40 @@ ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
             [],
             r'effort_unit = \["A", "A"\]: expected \["N m", "N m"\]',
         ),
-        (GOOD, [("/samples", "[('a', '<f8')]", b"12345678")], "/samples: layout .*: expected"),
+        (
+            GOOD,
+            [("/samples", "[('a', '<f8')]", b"12345678")],
+            "/samples: the rows have the layout .*: expected",
+        ),
         (
             GOOD,
             [("/samples", LAYOUT, ROW[:-1])],
-            "39 bytes: expected blocks of whole rows of 40 bytes",
+            "39 bytes: expected whole rows of 40 bytes",
         ),
-        (GOOD, [("/samples", LAYOUT, ROW + ROW)], "row 2: stamp_ns = 0: expected growing stamps"),
+        (
+            GOOD,
+            [("/samples", LAYOUT, ROW + ROW)],
+            "row 2: stamp_ns = 0: expected growing timestamps",
+        ),
         (
             GOOD,
             [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])],
             "row 1: stamp_ns = 9223372036854775807",
         ),
-        (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
-        (GOOD, [("/can/a/frames", LAYOUT, ROW)], "/can/a/frames: layout .*: expected"),
+        (
+            GOOD,
+            [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)],
+            "the layout of /samples changes",
+        ),
+        (
+            GOOD,
+            [("/can/a/frames", LAYOUT, ROW)],
+            "/can/a/frames: the rows have the layout .*: expected",
+        ),
         (
             GOOD,
             [("/can/a/frames", FRAMES_LAYOUT, bytes(12) + b"\x09" + bytes(9))],
-            "row 1: length = 9, .* expected 8",
+            "row 1: a frame has length = 9, .* expected at most 8",
         ),
         (
             GOOD,
@@ -213,11 +233,11 @@ def test_other_files_are_refused_in_one_line(tmp_path, robot, metadata, messages
     ("change", "message"),
     [
         (lambda writer: writer.add_metadata("recording", GOOD),
-         "has a second metadata record 'recording': expected one recording, not merged"),
+         "it has a second metadata record 'recording': merged recordings"),
         (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""),
-         r"has a second attachment 'robot\.toml'"),
+         r"it has a second attachment 'robot\.toml'"),
         (lambda writer: writer.add_message(7, 0, b"", 0),
-         "a message on channel 7, which is not described"),
+         "a message has the channel 7, which is not described"),
     ],
 )  # fmt: skip
 def test_duplicate_or_orphan_records_are_refused(tmp_path, robot, change, message):
@@ -253,10 +273,10 @@ def test_invalid_mcap_is_refused(tmp_path, content):
 def test_missing_file_folder_or_robot_toml(tmp_path, robot):
     path = tmp_path / "a.mcap"
     for toml, where, message in (
-        (None, tmp_path / "none.mcap", r"none\.mcap: cannot be read: No such file"),
+        (None, tmp_path / "none.mcap", r"none\.mcap: the file cannot be read: No such file"),
         (None, tmp_path, "cannot be read: Is a directory"),
-        (None, path, r"holds no robot.toml: expected the robot's description"),
-        (b"name = 1", path, r"a\.mcap: robot.toml: name = 1: expected `str`"),
+        (None, path, r"the recording has no robot.toml attached"),
+        (b"name = 1", path, r"a\.mcap: robot.toml: name = 1: expected a text"),
     ):
         record(path, GOOD, {} if toml is None else {"robot.toml": toml}, [])
         with pytest.raises(BadInputError, match=message):

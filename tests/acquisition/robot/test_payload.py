@@ -94,8 +94,8 @@ def test_payload_is_read_and_written(text, payload, words):
 )
 def test_no_payload(text):
     with pytest.raises(BadInputError) as refused:
-        parse_payload(text, robot_named("tx40"), "--payload")
-    assert (refused.value.key, refused.value.value) == ("--payload", text)
+        parse_payload(text, robot_named("tx40"))
+    assert (refused.value.key, refused.value.value) == ("payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
 
 

@@ -100,57 +100,56 @@ def test_motor_gains_and_units(kind, motor, gain, recorded, unit):
 @pytest.mark.parametrize(
     ("old", "new", "key", "value", "expected"),
     [
-        ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "`str` matching regex"),
-        ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "a non-zero ratio"),
-        (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive "
-                                                 "gain is given"),
+        ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "a text matching regex"),
+        ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "it is 0, or given beside"),
+        (GAIN, "", "motor[0].effort_unit", None, "no drive gain gives the unit"),
         (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2,
-         "drive_gain and drive_gain_unit together"),
-        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "a positive number"),
+         "only one of drive_gain and drive_gain_unit"),
+        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "it is not greater than"),
         (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit", "V",
-         "'A', as drive_gain_unit says"),
-        (DH, "", "joint[0].dh", None, "a dh row for every joint, or else a urdf"),
+         "drive_gain_unit is N m/A"),
+        (DH, "", "joint[0].dh", None, "Give a dh row, or one urdf"),
         (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0),
          "[lowest, highest]"),
         (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0),
-         "a key in deg for a revolute"),
+         "the joint is revolute"),
         ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor",
-         "2 tables", "one per joint: 1"),
+         "2 tables", "1, one per joint"),
         ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]",
          "controller.position_gain", [1.0, 2.0], "1 numbers"),
         ("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1]",
          "controller.integral_gain", [-1.0], "positive"),
         ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0,
-         "a non-zero ratio, or motor_matrix"),
+         "it is 0, or given beside motor_matrix"),
         ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)),
          "an invertible matrix"),
         ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0],
-         "motor 1 to turn joint 1"),
+         "motor 1 does not move joint 1"),
         ("[[10, 4], [-3, 20]]", "[[10, 4]]", "motor_matrix", [2], "2 rows of 2 numbers"),
-        ('name = "second"', 'name = "first"', "joint[1].name", "first", "a name not used before"),
+        ('name = "second"', 'name = "first"', "joint[1].name", "first", "another joint has it"),
         ('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"', "motor.drive_gain",
-         None, "a drive gain for all"),
+         None, "m2 have none"),
     ],
 )  # fmt: skip
 def test_mistake_has_key_value_and_expectation(old, new, key, value, expected):
     text = next(one for one in (ONE_JOINT, COUPLED) if one.count(old) == 1)
     error = refused(text.replace(old, new))
     assert (error.key, error.value) == (key, value)
-    assert error.expected.startswith(expected)
+    assert (error.expected or error.text or error.advice).startswith(expected)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name = "one"', "", "top level: Object missing required field `name`"),
+        ('name = "one"', "", "top level: a key is missing: `name`"),
         ('name = "one"', 'name = "one"\n"a\\nb" = 3',
-         "top level: Object contains unknown field `a b`"),
+         "top level: there is an unknown key `a b`"),
         ("ratio = 50", f"ratio = {'9' * 1500}",
          f"motor[0].ratio = {'9' * 77}: Number out of range"),
         ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
         ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
-        ("[[joint]]", f"a{'.a' * 2000} = 1", "a line of 4005: expected 262144 and"),
-        ("[[joint]]", "#\n" * 262144, "bytes, a line of "),
+        ("[[joint]]", f"a{'.a' * 2000} = 1", "a line of 4005 bytes: expected at most 262144 and"),
+        ("[[joint]]", "#\n" * 262144, "bytes and a line of "),
     ],
 )  # fmt: skip
 def test_mistake_is_one_line(old, new, message):
@@ -160,8 +159,8 @@ def test_mistake_is_one_line(old, new, message):
 
 def test_missing_or_binary_robot_toml():
     for files, told in (
-        ({"robot.toml": b"name = '\xff'"}, "not valid TOML: 'utf-8'"),
-        ({}, r"holds no robot\.toml"),
+        ({"robot.toml": b"name = '\xff'"}, "this is not valid TOML: 'utf-8'"),
+        ({}, r"the recording has no robot\.toml"),
     ):
         with pytest.raises(BadInputError, match=f"here: {told}"):
             robot_from_files(files, "here")
@@ -173,7 +172,7 @@ def test_urdf_is_included_or_missing(tmp_path):
         text := ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
     )
     for place, told in (
-        (path, r"urdf = 'arm\.urdf': cannot be read"),
+        (path, r"urdf = 'arm\.urdf': the file cannot be read"),
         (tmp_path / "none.toml", "cannot be read: No such"),
     ):
         with pytest.raises(BadInputError, match=told):
@@ -223,9 +222,9 @@ def test_invalid_file_locations(tmp_path):
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
     for path, message in (
-        (tmp_path, "expected a file, found a folder or a device"),
-        (tmp_path / "pipe", "expected a file, found a folder or a device"),
-        (Path(), "expected the name of a file"),
+        (tmp_path, "a folder or a device cannot be replaced"),
+        (tmp_path / "pipe", "a folder or a device cannot be replaced"),
+        (Path(), "the path has no file name"),
         (tmp_path / "none" / "out", "No such file or directory"),
         (tmp_path / "file" / "out", "Not a directory"),
     ):
@@ -240,10 +239,10 @@ def test_input_is_not_replaced_under_any_name(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in", tmp_path / "hard link"):
-        with pytest.raises(BadInputError, match="is an input too"):
+        with pytest.raises(BadInputError, match="the output is also an input"):
             refuse_clash([tmp_path / "missing", tmp_path / "in", None], out)
     refuse_clash([tmp_path / "in"], None, tmp_path / "out", tmp_path / "other")
-    with pytest.raises(BadInputError, match="out: named twice"):
+    with pytest.raises(BadInputError, match="out: two outputs have this name"):
         refuse_clash([tmp_path / "in"], tmp_path / "out", None, tmp_path / "." / "out")
 
 

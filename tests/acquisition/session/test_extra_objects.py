@@ -80,4 +80,4 @@ def test_earlier_recordings_still_open(tmp_path, monkeypatch):
     with pytest.raises(BadInputError) as caught:
         load_robot(tmp_path / "robot.toml")
     assert caught.value.key == "bus.drive[0].extra[2]"
-    assert caught.value.expected.startswith("'2081:1' alone")
+    assert caught.value.advice == "Write '2081:1' alone"

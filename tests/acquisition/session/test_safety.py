@@ -69,7 +69,7 @@ def test_second_axis_uses_its_own_objects(monkeypatch):
         Master(link, bus).state(bus.drives[0])
     assert link.sent == [(0x601, bytes.fromhex("4041680000000000"))]
     mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
-    with pytest.raises(BadInputError, match="expected those of one axis"):
+    with pytest.raises(BadInputError, match="do not belong to one axis"):
         axis_of(mixed.drives[0])
     monkeypatch.setattr(
         Master, "write", lambda self, node, index, sub, *_: written.append((index, sub))

@@ -277,12 +277,12 @@ def test_exception_in_any_phase(tmp_path, monkeypatch, method, error):
         *((("node = 2", "node = 9"), task, "node 9: object 6041:0: no answer in 0.3 s", [])
           for task in (Task(duration_s=1.0), TRACK)),
         (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK,
-         "node 1: no PDO from it carries 6041:0:", []),
+         "node 1: no PDO from the drive carries 6041:0, which", []),
         (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK,
          "no PDO to the drive carries 607A:0", []),
         (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'),
          TRACK,
-         "carries 6071:0: expected only 6040:0, 6060:0", []),
+         "carries 6071:0, which tracking would set to 0. Map only 6040:0, 6060:0", []),
     ],
 )  # fmt: skip
 def test_wrong_robot_toml_is_refused_before_start(tmp_path, change, task, expected, disabled):

@@ -39,7 +39,7 @@ def test_output_never_overwrites_input(capsys, tmp_path, robot_file):
         ["fit", SESSION, "--method", "iv", "--start", fit, "--json", fit],
         ["validate", fit, SESSION, "--json", fit],
     ):
-        assert "is an input too" in refused(capsys, *command)
+        assert "the output is also an input" in refused(capsys, *command)
         assert before == {path: path.read_bytes() for path in before}
 
 

@@ -109,11 +109,11 @@ def test_recording_replaced_only_on_request(capsys, tmp_path):
     log.write_bytes(b"old")
     simulate = ["simulate", SCARA, "--duration-s", 1, "-o", log]
     told = refused(capsys, *simulate)
-    assert told.startswith(f"robot-identify: {log}: already exists")
-    assert told.rstrip().endswith("-o, or --overwrite")
+    assert told.startswith(f"robot-identify: {log}: the file already exists")
+    assert told.rstrip().endswith("(--out, --overwrite).")
     told = refused(capsys, "demo", "--out", tmp_path)
     assert str(log) in told
-    assert told.rstrip().endswith("--out, or --overwrite")
+    assert told.rstrip().endswith("(--out, --overwrite).")
     assert "--overwrite" not in refused(capsys, "fit", SESSION, "--json", log)
     assert (log.read_bytes(), run(capsys, *simulate, "--overwrite")[0]) == (b"old", 0)
     assert log.stat().st_size > 1000

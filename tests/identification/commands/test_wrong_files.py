@@ -71,7 +71,10 @@ def test_non_recording_named(here, capsys, program, command, name, kind):
     run_main = main if program == "identify" else ACQUIRE.main
     assert run_main(command.replace("FILE", name).split()) == 1
     told = capsys.readouterr().err
-    assert f"{name}: is {kind}: expected a recording, as `robot-acquire record` or " in told
+    assert (
+        f"{name}: this is {kind}, not a recording. Pass a recording of `robot-acquire record` or "
+        in told
+    )
 
 
 def errors_of(capsys, robot, *options):

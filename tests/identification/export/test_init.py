@@ -199,14 +199,16 @@ def test_existing_file_kept_urdf_found_from_output(here, capsys):
     assert not (here / "robot.toml").exists()
     (here / "robot.toml").write_text("mine")
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml", "--overwrite")
-    assert said.startswith("robot.toml: already exists and is a file of another kind, not a robot")
+    assert said.startswith(
+        "robot.toml: the file already exists and is a file of another kind, not a robot"
+    )
     mine = '[[joint]]\nname = "mine"\n'
     (here / "robot.toml").write_text(mine)
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert said == "robot.toml: already exists: expected a new name, or --overwrite"
     assert (here / "robot.toml").read_text() == mine
     for out in (["--bus", "bus.toml", "-o", "bus.toml"], ["-o", "arm.urdf"]):
-        assert "is an input too" in refused(capsys, "init", "arm.urdf", *out)
+        assert "the output is also an input" in refused(capsys, "init", "arm.urdf", *out)
     (here / "cell").mkdir()
     assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
     assert load_robot("cell/robot.toml").n == 3
@@ -273,7 +275,7 @@ def test_missing_limits_from_options_or_named(here, capsys):
         assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{kind}.toml")[0] == 0
         assert "# speed_deg_s = ... # FILL IN" in (here / f"{kind}.toml").read_text()
         error = refused(capsys, "study", f"{kind}.toml", "--runs", "1")
-        assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
+        assert "joint turn: joint[0].position_deg is missing. Give [lowest, highest]" in error
         of_range = [
             *NAMES,
             *STATED,
@@ -351,9 +353,7 @@ def test_urdf_values_refused_with_description(here, capsys):
     ):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
-    assert error.startswith(
-        "robot made up: controller.bandwidth_hz is missing: expected the bandwidth"
-    )
+    assert error.startswith("robot made up: controller.bandwidth_hz is missing. Give the bandwidth")
 
 
 def massless(name):
@@ -440,7 +440,7 @@ def test_bad_urdf_refused(here, capsys, text, message):
 def test_missing_and_binary_files_refused(here, capsys):
     assert (
         refused(capsys, "init", "none.urdf")
-        == "none.urdf: cannot be read: No such file or directory"
+        == "none.urdf: the file cannot be read: No such file or directory"
     )
     (here / "arm.urdf").write_bytes(bytes(range(256)))
     assert "arm.urdf: is not XML" in refused(capsys, "init", "arm.urdf")

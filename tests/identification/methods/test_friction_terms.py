@@ -53,12 +53,16 @@ def arm():
 @pytest.mark.parametrize(
     ("lines", "key", "expected"),
     [
-        ('friction = ["viscous", "viscous"]', "joint[0].friction", "each term once"),
+        ('friction = ["viscous", "viscous"]', "joint[0].friction", "it is listed twice"),
         ('friction = ["viscuos"]', "joint[0].friction[0]", "'load', 'offset', 'root'"),
         ('friction = "odd"', "joint[0].friction", "'asymmetric', 'symmetric'"),
-        ('friction = ["root"]\noffset = true', "joint[0].offset", "no such key"),
+        (
+            'friction = ["root"]\noffset = true',
+            "joint[0].offset",
+            "friction lists all terms. Remove offset",
+        ),
         ('friction = ["stribeck"]', "joint[0].stribeck_speed_deg_s", "37 %"),
-        ("stribeck_speed_deg_s = 5", "joint[0].stribeck_speed_deg_s", '"stribeck" in friction'),
+        ("stribeck_speed_deg_s = 5", "joint[0].stribeck_speed_deg_s", 'no term "stribeck"'),
         ('friction = ["stribeck"]\nstribeck_speed_m_s = 5', "joint[0].stribeck_speed_m_s", "deg"),
     ],
 )
@@ -71,7 +75,7 @@ def test_meaningless_term_list_refused(lines, key, expected):
     with pytest.raises(BadInputError) as refused:
         robot_from_files({"robot.toml": text.encode()}, "scara.toml")
     assert refused.value.key == key
-    assert expected in str(refused.value.expected)
+    assert expected in str(refused.value)
 
 
 # --- the model

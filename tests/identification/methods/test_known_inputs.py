@@ -214,12 +214,17 @@ def test_fit_with_other_description(tmp_path):
 @pytest.mark.parametrize(
     ("key", "column", "unit", "message"),
     [
-        ("known_torque", "k", '"N m"', ".unit: gives N m at the joint: expected N, as in robot"),
+        (
+            "known_torque",
+            "k",
+            '"N m"',
+            ".unit: N m at the joint does not match robot.toml: expected N",
+        ),
         ("known_torque", "k", '"N"\nside = "motor"', ".side = 'motor': expected 'joint'"),
-        ("feedforward", "k", '"A"', ".unit: gives A at the motor: expected V, as in robot.toml"),
+        ("feedforward", "k", '"A"', ".unit: A at the motor does not match robot.toml: expected V"),
         ("feedforward", "k", '"V"\nside = "joint"', ".side = 'joint': expected 'motor'"),
         ("velocity", "k", '"m"', ".unit = 'm': expected one of rad/s, deg/s, rpm, m/s, mm/s"),
-        ("velocity", "w", '"m/s"', " of joint axis = -1 x the derivative of its position"),
+        ("velocity", "w", '"m/s"', " of joint axis is -1 times the derivative of its position"),
     ],
 )
 def test_impossible_columns_refused(tmp_path, capsys, key, column, unit, message):
@@ -274,8 +279,8 @@ def test_velocity_compared_with_position_steps(count):
     t, scara = np.arange(count)[:, None] / 400, robot_named("scara")
     told = check_recorded_velocities(scara, 0.01 * t**2 * [1, 2], 0.03 * t * [1, 2], 400.0, "")
     for name, text in zip(("shoulder", "elbow"), told, strict=True):
-        start = f"velocity of joint {name} = 1.5 x the derivative of its position"
-        assert text == f"{start}, off by 50 %"
+        start = f"the velocity of joint {name} is 1.5 times the derivative of its position"
+        assert text == f"{start}, with a difference of 50 %"
 
 
 def test_spring_must_explain_more_than_others():

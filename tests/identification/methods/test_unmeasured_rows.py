@@ -203,7 +203,7 @@ def test_oversampled_arrays_thinned(arm, robot, stands):
     assert signals.sample_rate_hz == pytest.approx(RATE_HZ / stands)
     assert worst_percent(arm, identify_ls(signals, Overrides())) < 0.2
     (told,) = signals.events
-    assert f"each row stands {stands} times" in told.text
+    assert f"it repeats each position {stands} times" in told.text
 
 
 def test_positions_keep_recording_rate(robot, measured, tmp_path):

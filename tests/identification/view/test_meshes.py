@@ -97,11 +97,11 @@ def test_missing_mesh_refused(name, tmp_path):
 def test_unattachable_recording_refused(tmp_path, monkeypatch):
     path = described(tmp_path)
     monkeypatch.setattr(meshes, "MAX_MESH_BYTES", 133)
-    with pytest.raises(BadInputError, match="134 bytes of meshes so far: expected at most 133"):
+    with pytest.raises(BadInputError, match="the meshes have 134 bytes, more than 133"):
         load_robot(path)
     (tmp_path / "arm.urdf").write_text("<robot>")
-    with pytest.raises(BadInputError, match="urdf: not valid XML: no element found"):
+    with pytest.raises(BadInputError, match="urdf: the file is not valid XML: no element found"):
         load_robot(path)
     path.write_text(path.read_text().replace('urdf = "arm.urdf"\n', ""))
-    with pytest.raises(BadInputError, match="urdf_meshes = True: expected a urdf"):
+    with pytest.raises(BadInputError, match="urdf_meshes = True: there is no urdf"):
         load_robot(path)

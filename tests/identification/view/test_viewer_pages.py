@@ -316,4 +316,4 @@ def test_incomparable_fits_refused(capsys, tmp_path):
     truth.write_text(json.dumps({"parameters": [{"name": "M1", "value": 1.3, "unit": "kg"}]}))
     status, out, _ = run(capsys, "compare", a, truth)
     assert (status, "-3.00" in out) == (0, True)
-    assert "is an input too" in refused(capsys, "compare", a, a, "--json", a)
+    assert "the output is also an input" in refused(capsys, "compare", a, a, "--json", a)
