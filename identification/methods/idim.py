@@ -2,7 +2,7 @@
 
 Equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An instrumental
 variable approach for rigid industrial robots identification", Control Engineering Practice 25
-(2014) 85-101. Letters (A) to (I) are those of identification/method.md.
+(2014) 85-101. Letters (A) to (I) are those of identification/docs/method.md.
 """
 
 from dataclasses import replace

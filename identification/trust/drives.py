@@ -96,7 +96,7 @@ LAG = Words(
     "without a reference it is assumed",
     advice="state `effort_timing`, take `--method iv`, or record longer moves",
     detects="How late the recorded torque is against the motion; [found, corrected and "
-    "counted](../method.md#lag-load-gains)",
+    "counted](method.md#delay-of-the-torque)",
     limit="`caution`: the recorded reference does not show it, and its uncertainty moves an "
     "essential parameter by over one half-width; a torque is before its command; or the "
     "data contradict a `torque_lag_s` at t > 4. `cannot tell`: without a reference it is "

@@ -33,7 +33,7 @@ CHUNK = 20  # runs simulated side by side
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A robot, what its cell adds, and how its recordings are fitted; `integral`: the arm is
-    under a PI velocity loop.
+    under a PI velocity loop; `delay_known`: the delay of the torque is given.
     """
 
     robot: Literal["emps", "scara", "tx40"]
@@ -42,6 +42,7 @@ class Case:
     method: Literal["iv", "wls"] = "iv"
     duration_s: float = 10.0
     integral: bool = False
+    delay_known: bool = False
 
     @property
     def name(self) -> str:
@@ -177,7 +178,7 @@ def fits_of(case: Case, seeds: range) -> tuple[tuple[str, ...], Array, list[Arra
     # period that would tell so.
     known = (
         Overrides()
-        if robot.controller.sample_rate_hz
+        if robot.controller.sample_rate_hz and not case.delay_known
         else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
     )
     found, names, true = [], (), np.empty(0)

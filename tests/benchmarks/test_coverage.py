@@ -6,6 +6,7 @@ shares then spread by more than the bounds leave.
 """
 
 import os
+from dataclasses import replace
 
 import numpy as np
 from coverage_cases import ARM, AXES, HEADER, Coverage, covered
@@ -44,3 +45,15 @@ def test_intervals_cover_truth():
     if RUNS >= 200:
         assert not outside
         assert 93 <= mean <= 97
+
+
+def test_iv_is_as_efficient_as_ls():
+    """With exact positions, white torque noise and a known delay least squares is efficient."""
+    cases = [replace(case, delay_known=True) for case in AXES if case.what == "noise-free position"]
+    spread = {
+        (c.case.robot, c.case.method): np.std(c.beta - c.true, axis=0)
+        for c in covered(cases, RUNS, os.cpu_count() or 1)
+    }
+    ratios = [spread[robot, "iv"] / spread[robot, "wls"] for robot in ("emps", "scara")]
+    print(f"\nspread of IV over LS: {' '.join(f'{x:.4f}' for x in np.concatenate(ratios))}")
+    assert np.abs(np.concatenate(ratios) - 1).max() < 0.01

@@ -195,7 +195,7 @@ def test_negative_inertia_and_held_out_error(monkeypatch):
 
 
 def test_guide_gives_number_of_time_blocks():
-    method = (ROOT / "identification" / "method.md").read_text()
+    method = (ROOT / "identification" / "docs" / "method.md").read_text()
     counts = re.findall(r"t counts [a-z ]+: (\d+) of a recording", method)
     assert counts == [str(FINE_SPANS)]
 
