@@ -210,7 +210,7 @@ def page_of_tests() -> str:
             for name, row in WORDS.items()
         ),
     ]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    lines = [f"|{'|'.join(row)}|" for row in rows]
     split = re.split(f"(?<={MADE})\n\n(.*?)(?=<!-- end)", TESTS_PAGE.read_text(), flags=re.S)
     return "\n".join((split[0], "", *lines, "", split[-1]))
 
