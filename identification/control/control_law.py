@@ -246,8 +246,7 @@ def described_law(robot: Robot) -> ControlLaw | None:
             place=f"robot {robot.name}",
             key=f"controller: {', '.join(missing)}",
             value=None,
-            expected=f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz "
-            "is simulated)",
+            advice=f"Give all of {', '.join(needed)}, or none to simulate a default PD controller",
         )
     return ControlLaw(
         kind="described",

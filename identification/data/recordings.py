@@ -115,16 +115,16 @@ def _read(path: Path) -> tuple[Recording, Block]:
     recording = read_recording(path)
     if recording.cut:
         raise BadInputError(
-            "is cut off",
+            "is truncated",
             place=str(path),
-            expected=f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it",
+            advice=f"Repair it first: `robot-acquire import {path} -o OUT.mcap`",
         )
     if recording.samples is None or len(recording.samples) == 0:
         raise BadInputError(
             recording.no_samples,
             place=str(path),
-            expected="some; `robot-acquire import`, with a corrected --robot, makes them from "
-            "frames that are not lost",
+            advice="Make samples from its frames, with a corrected description if necessary: "
+            f"`robot-acquire import {path} --robot ROBOT.toml -o OUT.mcap`",
         )
     return recording, recording.samples
 
@@ -193,17 +193,18 @@ def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, fl
     BadInputError : time does not increase, or a gap is far longer than the rows.
     """
     if len(since) < 2:
-        Location(str(path)).refuse("samples", len(since), "a trajectory")
+        Location(str(path)).refuse("samples", len(since), "at least 2")
     steps = np.diff(since)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > MOST_MISSING * len(since) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
         raise BadInputError(
-            f"a step of {steps[k] * 1e-9:.6g} s after {1e-9 * since[k]:.4f} s",
+            f"the time step after {1e-9 * since[k]:.4f} s is {steps[k] * 1e-9:.6g} s, but the "
+            f"period is {period * 1e-6:.3f} ms",
             place=str(path),
             key="samples",
-            expected=f"{period * 1e-6:.3f} ms, and each motion as a recording of its own",
+            advice="Split the recording into one file per motion",
         )
     whole = steps.max() <= 1.5 * period or len(since) < 3
     agreed = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
@@ -318,8 +319,8 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
         place = Location(other.recording)
         place.require(
             not other.sha256 or other.sha256 not in seen,
-            expected="each recording once",
             text=f"has the same content as {seen.get(other.sha256)}",
+            advice="Pass each recording once",
         )
         seen[other.sha256] = other.recording
         place.require(
@@ -334,7 +335,8 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
                 value == wanted,
                 key,
                 value,
-                f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot",
+                f"{wanted!r}, as in {first.recording}",
+                advice="Fit recordings of different robots separately",
             )
 
 

@@ -89,16 +89,16 @@ class Signals:
         for name, array in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if array.shape != shape:
-                place.refuse(f"{name}.shape", array.shape, f"{shape}, as q has")
+                place.refuse(f"{name}.shape", array.shape, f"{shape}, as for q")
         joints = len(self.robot.joints)
         if n != joints:
-            place.refuse("joints recorded", n, f"{joints}, as the robot has")
+            place.refuse("joints recorded", n, f"{joints}, as in the robot description")
         if self.known_torque is not None and not self.robot.gain_known:
             place.refuse(
                 "known_torque",
-                expected=f"the drive gains of robot {self.robot.name}",
                 text="cannot be added to efforts in "
                 + " and ".join(sorted(set(self.robot.effort_units))),
+                advice=f"Specify the drive gains of robot {self.robot.name}",
             )
         for name, array in parts.items():
             if not np.isfinite(array).all():
@@ -181,7 +181,9 @@ def signals_from_arrays(
     from acquisition.importing import grid_of_new_rows
 
     for name in columns:
-        Location(NAME).require(name in OPTIONAL, name, expected=f"columns {', '.join(OPTIONAL)}")
+        Location(NAME).require(
+            name in OPTIONAL, name, expected=", ".join(OPTIONAL), text="is not a column"
+        )
     _refuse_rate(sample_rate_hz)
     of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
@@ -241,12 +243,12 @@ def _refuse_rate(rate_hz: float) -> None:
     if rate.size > 1 and rate.dtype.kind in "iufM":  # datetimes too
         unit = np.timedelta64(1, "s") if rate.dtype.kind == "M" else 1
         step = float(np.median(np.diff(rate.ravel()) / unit))
-        doubt = f"time stamps? their rate is {1 / step:.6g} Hz if they are in s" if step > 0 else ""
+        doubt = f"timestamps in s have the rate {1 / step:.6g} Hz" if step > 0 else ""
     Location(NAME).require(
         not rate.ndim and rate.dtype.kind in "iuf" and 0 < rate_hz < np.inf,
         "sample_rate_hz",
         rate_hz,
-        "the rate in Hz, a number above 0",
+        "one rate in Hz, greater than 0",
         text=doubt,
         shown=f"{rate.size} values" if rate.size > 1 else "",
     )
@@ -254,8 +256,8 @@ def _refuse_rate(rate_hz: float) -> None:
         rate_hz >= 1,
         "sample_rate_hz",
         rate_hz,
-        "1 or more",
-        text=f"a period? the rate is {1 / rate_hz:g} Hz",
+        "1 or greater",
+        text=f"a period of this many seconds is a rate of {1 / rate_hz:g} Hz",
     )
 
 
@@ -270,6 +272,6 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
         copied.ndim == 2 and copied.shape[1] == n and len(copied) >= 2,
         f"{name}.shape",
         copied.shape,
-        f"(N, {n}), time first",
+        f"(N, {n}), one row per sample",
     )
     return copied

@@ -41,7 +41,9 @@ class Work(NamedTuple):
             yield from parallel(delayed(partial(function, *task))() for task in tasks)
         except (BrokenExecutor, CancelledError) as error:
             raise BadInputError(
-                str(error).split(".")[0], expected="more memory, or a smaller --workers"
+                str(error).split(".")[0],
+                advice="Use fewer workers, or more memory",
+                arguments=("workers",),
             ) from error
 
 
@@ -57,7 +59,9 @@ def _cluster(address: str) -> dict[str, Any]:
         client.run(__import__, __package__)  # an error if a worker has no such package
     except (ImportError, OSError, ValueError) as error:
         raise BadInputError(
-            str(error), place=address, expected="Dask, on workers with this package"
+            f"cannot be used: {error}",
+            place=address,
+            advice="Start Dask workers that have this package installed",
         ) from error
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]  # joblib's waits forever after errors of workers

@@ -120,10 +120,10 @@ def consistent_parameters(
         chi, decrement = _along_path(softened, physical.start)
     if not decrement <= MAX_DECREMENT:
         raise NoFitError(
-            "no consistent parameters found",
+            "the search for physically consistent parameters did not converge",
             key="Newton decrement",
             value=decrement,
-            expected=f"{MAX_DECREMENT:g} at most",
+            expected=f"at most {MAX_DECREMENT:g}",
         )
     moved, sigma = K @ chi - beta, np.sqrt(np.diag(covariance))
     return Consistent(
@@ -336,7 +336,8 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:
         raise NoFitError(
-            "no consistent parameters found: the covariance is not positive definite"
+            "physically consistent parameters cannot be computed, since the covariance of the "
+            "estimates is not positive definite"
         ) from error
 
 

@@ -260,7 +260,10 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
         raise NoFitError(
-            key="decimated rows", value=round(r), expected=f"more than the {b} parameters"
+            key="decimated rows",
+            value=round(r),
+            expected=f"more than {b}, the number of parameters",
+            advice="Record a longer motion",
         )
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * weights[system.joint_of_row][:, None]
@@ -271,7 +274,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
         condition = float(singular[0] / singular[-1])
     elif not condition < 1 / RANK_TOLERANCE:
         raise NoFitError(
-            "instruments and regressor have too little in common",
+            "instruments and regressor are too weakly correlated",
             key="cond(ZᵀW)",
             value=condition,
             shown=f"{condition:.2g}",

@@ -282,16 +282,18 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
         raise NoFitError(
-            "no torque depends on them",
-            key="parameters not excited",
+            "they have no effect on the torque along this trajectory",
+            key="parameters",
             value=unexcited,
             shown=", ".join(unexcited),
+            advice="Use a trajectory that excites them; `robot-identify excite` designs one",
         )
     if collinear:
         rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())
         raise NoFitError(
-            f"the trajectory excites too little: rank {rank} for {len(names)} parameters; "
-            f"not distinguishable: {', '.join(collinear)}"
+            f"the trajectory cannot distinguish {', '.join(collinear)}: the rank is {rank} for "
+            f"{len(names)} parameters",
+            advice="Use a trajectory that excites them; `robot-identify excite` designs one",
         )
     return singular
 

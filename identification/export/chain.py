@@ -46,15 +46,15 @@ class UrdfTree:
             ) from error
         place.require(
             robot.tag == "robot",
-            "its root",
+            "root element",
             robot.tag,
-            "<robot>, of a URDF",
+            "<robot>",
             shown=f"<{robot.tag}>",
         )
         place.require(
             not any("xacro" in str(element.tag) for element in robot.iter()),
             text="has xacro elements",
-            expected="a URDF: xacro FILE > robot.urdf makes it",
+            advice="Convert it first: `xacro FILE > robot.urdf`",
         )
         self.place, self.name = place, robot.get("name") or ""
         self.links, self.joints = (_by_name(robot, tag, place) for tag in ("link", "joint"))
@@ -65,17 +65,17 @@ class UrdfTree:
         roots = [link for link in self.links if link not in self.above]
         place.require(
             len(roots) == 1,
-            text=f"{len(roots)} root links: {listed(roots)}"
+            text=f"has {len(roots)} root links: {listed(roots)}"
             if roots
-            else "no root link: its joints form a loop",
-            expected="one base link, which is no joint's child",
+            else "has no root link, since its joints form a loop",
+            advice="Give it one base link, which is not the child of any joint",
         )
         if loop := [
             link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)
         ]:
             place.refuse(
                 text=f"links {listed(loop)} are in a loop of joints",
-                expected="a tree below one base link",
+                advice="Break the loop, so that the links form a tree",
             )
 
     def _check_joint(self, name: str, joint: ET.Element) -> None:
@@ -90,7 +90,8 @@ class UrdfTree:
             child not in self.above,
             "child",
             child,
-            f"one parent joint per link; {self.above.get(child)!r} is another of this one",
+            text=f"is the child of joint {self.above.get(child)!r} too",
+            advice="Give each link one parent joint",
         )
 
     def path(self, joint: str | None) -> list[str]:
@@ -122,10 +123,11 @@ def _by_name(robot: ET.Element, tag: str, place: Location) -> dict[str, ET.Eleme
             name and name not in elements,
             "name",
             name or None,
-            "a name not used before" if name else "a name",
+            text="is used twice" if name else "",
+            advice=f"Give each {tag} a name of its own",
         )
         elements[name] = element
-    place.require(elements, text=f"has no {tag}", expected="links, and joints between them")
+    place.require(elements, text=f"has no {tag}", advice="Add its links and joints")
     return elements
 
 
@@ -314,7 +316,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 def _find_longest(tree: UrdfTree) -> list[str]:
     free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
     tree.place.require(
-        free, text="no joint moves", expected=f"joints of the types {', '.join(MOVABLE)}"
+        free, text="has no movable joint", expected=f"joints of type {', '.join(MOVABLE)}"
     )
     chains = {
         name: [joint for joint in tree.path(name) if joint in free]
@@ -325,7 +327,7 @@ def _find_longest(tree: UrdfTree) -> list[str]:
     last = [name for name, chain in chains.items() if len(chain) == most]
     tree.place.require(
         len(last) == 1,
-        text=f"{len(last)} chains of {most} joints each, which end at {listed(last)}",
+        text=f"has {len(last)} chains of {most} joints each, which end at {listed(last)}",
         advice="Name the joints of one chain",
         arguments=("joints",),
     )
@@ -354,12 +356,10 @@ def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
         return 0.0 if text is None else finite_number(text, at, f"{tag} {attribute}")
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
-    at.require(
-        kind == "continuous" or low <= high, "limit lower", low, f"less than upper = {high:g}"
-    )
+    at.require(kind == "continuous" or low <= high, "limit lower", low, f"at most upper = {high:g}")
     numbers = {key: number(*where) for key, where in _NUMBERS.items()}
     for key, value in numbers.items():
-        at.require(value >= 0, " ".join(_NUMBERS[key]), value, "a number from 0")
+        at.require(value >= 0, " ".join(_NUMBERS[key]), value, "0 or greater")
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",

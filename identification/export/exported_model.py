@@ -60,21 +60,22 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     for j, link in enumerate(chi[dynamics.link_columns(model)]):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
             raise BadInputError(
-                "impossible inertia for a body of positive density",
+                "its inertia is not that of a rigid body with positive mass density",
                 place=place,
                 key=f"link {j + 1}, of joint {model.robot.joints[j].name}",
-                expected="a new fit with --consistent",
+                advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
             )
     for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
             raise BadInputError(
-                "generates energy, and simulators do not check it",
+                "it generates energy, which simulators do not check",
                 place=place,
                 key=text,
                 value=lowest,
                 shown=f"{lowest:.4g} {first.unit}",
-                expected="0 or more: a new fit with --consistent",
+                expected="0 or greater",
+                advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
             )
     return _of_axes(model, chi)
 

@@ -63,8 +63,9 @@ def export_fit(
     )
     COMMAND_LINE.require(
         untrusted or not reasons,
-        text=f"not exported: {'; '.join(reasons)}",
-        expected="a fit to be trusted, or --allow-untrusted",
+        text=f"the fit is not exported: {'; '.join(reasons)}",
+        advice="Export a trusted fit, or allow others",
+        arguments=("allow_untrusted",),
     )
     mechanism, lines = model_of_fit(stored, place)
     texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
@@ -90,7 +91,7 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
         [(p.name, p.unit) for p in parameters] == names,
         "standard_parameters",
         next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None),
-        f"the {len(names)} of the description",
+        f"the {len(names)} parameters of the description",
     )
     if (c := stored.consistent) is not UNSET:
         lines.append(
@@ -112,8 +113,8 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         known(stored.covariance),
         "covariance",
         None,
-        "a new fit, preferably with --consistent",
-        text="the fit is not consistent, and cannot be made so without it",
+        text="a fit cannot be made physically consistent without it",
+        advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
     )
     names, values = found.names, np.array(found.values)
     shared = [base_name(name) for name in names]
@@ -121,8 +122,8 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     Location(place).require(
         not missing and values.shape == (len(names), len(names)),
         "covariance",
-        ", ".join(missing[:5]) or None,
-        "one row per parameter",
+        text=f"lacks {', '.join(missing[:5])}" if missing else "",
+        expected="one row and column per parameter",
     )
     # of parameters of single recordings the mean, as in `stored_beta`
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
@@ -272,20 +273,20 @@ def replace_in_tables(
         made += header + table
     made = made if written == values.keys() else ""
     key = f"[[{kind}]]"
-    return checked_toml(made, now, place, key, f"a line {key} of each, then a line per key")
+    return checked_toml(made, now, place, key, f"a line {key} for each, then one line per key")
 
 
-def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, expected: str) -> str:
+def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout: str) -> str:
     """Check that an edited description, `made`, holds the values `now`; `key` is what was edited.
 
     Raises
     ------
-    BadInputError : its lines are not as `expected`.
+    BadInputError : its lines do not have this `layout`.
     """
     with suppress(tomllib.TOMLDecodeError):
         if tomllib.loads(made) == now:
             return made
-    Location(place).refuse(key, expected=expected, text="cannot be replaced line by line")
+    Location(place).refuse(key, text="cannot be replaced line by line", advice=f"Write {layout}")
 
 
 def replace_parameters(

@@ -94,10 +94,11 @@ def _read(
     """
     if overrides.gains and method not in (None, "iv"):
         raise BadInputError(
-            "least squares is biased towards drive gains of 0",
+            "least squares biases drive gains towards zero",
             key="method",
             value=method,
-            expected="iv with --gains",
+            advice="Use iv, or do not estimate gains",
+            arguments=("gains",),
         )
     model = read_model(signals, replace(overrides, method="iv" if overrides.gains else method), say)
     by, reason = (method, "as requested") if method is not None else _default_method(model)
@@ -109,10 +110,10 @@ def _read(
         model = read_model(signals, replace(overrides, method=by), say)
     if iteration is not None and by != "iv":
         raise BadInputError(
-            "only instrumental variables iterate",
+            f"is used ({reason}), but only instrumental variables iterate",
             key="method",
             value=by,
-            expected=f"iv ({reason})",
+            advice="Use iv",
         )
     return model, by, reason
 
@@ -184,14 +185,14 @@ def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
     while not passes[-1].is_last and len(passes) <= loop.most:
         x, asked = next_values(loop, passes)
         passes = [one.without_rows() for one in passes]
-        say(f"pass {len(passes)}: simulating the robot")
+        say(f"iteration {len(passes)}: simulating the robot")
         try:
             passes += [loop.next_pass(passes, x, asked)]
         except NoFitError as error:
-            failure = f"pass {len(passes)}: {error}"
+            failure = f"iteration {len(passes)}: {error}"
             if len(passes) == 1:
                 raise NoFitError(
-                    f"no instruments: {failure}", place=", ".join(model.recordings)
+                    f"instruments cannot be computed: {failure}", place=", ".join(model.recordings)
                 ) from error
             break
     best, confirmed = conclude(loop, passes)

@@ -56,7 +56,9 @@ class Iteration:
 
     def __post_init__(self) -> None:
         if self.inertias is not None and self.start != "regular":
-            raise BadInputError(key="start", value=self.start, expected="regular, for inertias")
+            raise BadInputError(
+                key="start", value=self.start, expected="regular if inertias are given"
+            )
 
 
 class Loop:

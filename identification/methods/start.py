@@ -86,10 +86,10 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
         if not model.unknowns.motors:
             raise
         raise BadInputError(
-            f"drive gains and the arm cannot be separated ({error}): the payload "
-            "does not show in the recordings",
+            "they cannot be separated from the parameters of the arm, because the payload has too "
+            f"little effect on the recorded efforts ({error})",
             key="gains",
-            expected="a payload on one recording, and its mass as stated",
+            advice="Check which recordings have the payload, and its mass",
         ) from error
 
 
@@ -208,18 +208,17 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1
     if several and any(payload.center_of_mass_m is None for payload in payloads):
         raise BadInputError(
-            "an unknown mass does not determine the scale: weigh it, or fit with drive gains "
-            "that are known"
+            "drive gains cannot be identified with a payload of unknown mass"
             if any(payload.mass_kg is None for payload in payloads)
-            else "the mass alone does not determine the scale: give its centre of mass",
+            else "drive gains cannot be identified from the mass of the payload alone",
             key="payload",
-            expected="KG@X,Y,Z",
+            advice="Give its mass and its center of mass: KG@X,Y,Z",
         )
     raise BadInputError(
-        "no recording differs in payload",
+        "drive gains cannot be identified, since all recordings have the same payload",
         place=", ".join(model.recordings),
         key="gains",
-        expected="one recording without and one with a payload",
+        advice="Use one recording without and one with a payload",
     )
 
 

@@ -351,7 +351,9 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 joint.set("type", "fixed")
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
-        raise BadInputError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
+        raise BadInputError(
+            f"cannot be loaded: {str(error).splitlines()[0]}", place=place
+        ) from error
     if (order := list(model.names)[1:]) != wanted:
         raise BadInputError(
             place=place,
@@ -390,7 +392,9 @@ def _make_buildable(joint: ET.Element, place: str) -> None:
     axis = joint.find("axis") if joint.get("type") != "floating" else None
     if axis is not None and not any(float(x) for x in axis.get("xyz", "1").split()):
         place = f"{place}: joint {joint.get('name')!r}"  # exporters write it for a floating one
-        raise BadInputError(place=place, key="axis", value="0 0 0", expected="a direction")
+        raise BadInputError(
+            place=place, key="axis", value="0 0 0", expected="a vector other than zero"
+        )
     if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits

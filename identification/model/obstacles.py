@@ -163,5 +163,5 @@ def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing:
         raise BadInputError(
             f"a collision shape cannot be read: {error}",
             place=f"robot {dynamics.robot.name}: URDF",
-            expected="one that coal reads, or capsules in robot.toml",
+            advice="Use meshes that coal can read, or give capsules in robot.toml",
         ) from error

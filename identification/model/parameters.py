@@ -194,16 +194,17 @@ def known_parameters(dynamics: InverseModel) -> Array:
     place = Location(f"robot {dynamics.robot.name}")
     place.require(
         values,
-        text="no [parameters] to simulate with",
-        expected="inertials in the URDF when `init` read it, or `export --toml` of a fit",
+        text="has no [parameters], which simulations need",
+        advice="Write them with `robot-identify export FIT.json --toml ROBOT.toml`, or let "
+        "`robot-identify init` read a URDF with inertials",
     )
     for name, value in values.items():
         place.require(
             name in names,
             f"parameters.{name}",
             value,
-            f"such as {', '.join(names[:3])} ... {names[-1]}",
-            text="not a standard parameter of this robot",
+            f"one of {', '.join(names[:3])} ... {names[-1]}",
+            text="is not a standard parameter of this robot",
         )
     return np.array([values.get(name, 0.0) for name in names])
 
@@ -275,7 +276,9 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
         carries.
     """
     if payload.mass_kg is None:
-        raise BadInputError(key="payload", value=str(payload), expected="its mass")
+        raise BadInputError(
+            "has no mass", key="payload", value=str(payload), advice="Give its mass in kg"
+        )
     placement = pin.SE3.Identity()
     if payload.frame is not None:
         links = {
@@ -288,7 +291,7 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
                 place=f"robot {model.robot.name}",
                 key="payload.frame",
                 value=payload.frame,
-                expected=f"a link that {model.robot.joints[-1].name} carries: {listed([*links])}",
+                expected=f"a link on joint {model.robot.joints[-1].name}: {listed([*links])}",
             )
         placement = links[payload.frame]
     body = pin.Inertia(
@@ -362,10 +365,10 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE
     if differs.any():
         raise BadInputError(
-            "its link moves differently from the fit's",
+            "its link moves differently from that of the fit",
             place=f"prior {prior.robot.name}",
             key="joint",
             value=others[int(differs.argmax())].name,
-            expected="the same base frame, axes, lengths and zeros",
+            advice="Use the same base frame, axes, lengths and zeros",
         )
     return np.asarray(T[0])

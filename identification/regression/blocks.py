@@ -123,11 +123,11 @@ def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
         if not share[:, j].any():
             raise NoFitError(
                 f"joint {joint.name} never moves for longer than a period of the filters between "
-                "two stops, or is never faster than "
-                f"the noise of its speed{f'; {unmeasured}' if unmeasured else ''}",
+                "two stops, or never faster than the noise of its speed"
+                f"{f'; {unmeasured}' if unmeasured else ''}",
                 place=", ".join(one.recording for one in recordings),
-                expected=f"longer moves, a bandwidth_hz above {robot.bandwidth_hz:.3g}, or "
-                "low_speed_percent of [identification]",
+                advice="Record longer moves, or in robot.toml give a bandwidth_hz greater than "
+                f"{robot.bandwidth_hz:.3g}, or low_speed_percent of [identification]",
             )
 
 

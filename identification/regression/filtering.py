@@ -40,7 +40,7 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
             key="cut-off",
             value=cutoff_hz,
             shown=f"{cutoff_hz:g} Hz",
-            expected=f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
+            expected=f"more than 0 and less than {sample_rate_hz / 2:g} Hz, half the sample rate",
         )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:

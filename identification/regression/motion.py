@@ -322,7 +322,9 @@ def find_span(
     peak = speed.max(axis=0)
     if not peak.any():
         raise NoFitError(
-            "no joint moves", place=signals.recording, expected="an exciting trajectory"
+            "no joint moves",
+            place=signals.recording,
+            advice="Record an exciting trajectory; `robot-identify excite` designs one",
         )
     standing = standing_joints(peak, signals.robot.joints)
     moves = [joint.name not in standing for joint in signals.robot.joints]
@@ -359,7 +361,7 @@ def inside_borders(
             place=signals.recording,
             key=f"samples left after cutting the borders ({span})",
             value=len(used),
-            expected=f"at least {MIN_ROWS * decimation}, {MIN_ROWS} decimated rows",
+            expected=f"at least {MIN_ROWS * decimation}, for {MIN_ROWS} decimated rows",
         )
     return used
 

@@ -205,7 +205,8 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
             gain is not None or name in gains,
             f"motor {name}: drive_gain",
             None,
-            f"drive_gain, or {name} among the gains to identify",
+            advice="Give it in robot.toml, or identify it",
+            arguments=("gains",),
         )
 
 

@@ -271,8 +271,8 @@ def _refuse_low_rate(signals: Signals) -> None:
         Location(signals.recording).refuse(
             "sample_rate_hz",
             fs,
-            f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a "
-            "period",
+            f"more than {least_hz:g} Hz, twice the bandwidth of the position loop",
+            advice="Give a rate in Hz, not a period in s",
         )
 
 
@@ -291,13 +291,16 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
     asked_hz = _highest_hz(signals) if stated_hz is None else stated_hz
     if stated_hz is not None and not asked_hz < fs / 2:
         Location(signals.recording).refuse(
-            "cut-off", asked_hz, f"below {fs / 2:g} Hz, half the rate", shown=f"{asked_hz:g} Hz"
+            "cut-off",
+            asked_hz,
+            f"less than {fs / 2:g} Hz, half the sample rate",
+            shown=f"{asked_hz:g} Hz",
         )
     cutoff_hz = asked_hz if 0 < asked_hz < fs / 2 else None
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
         raise NoFitError(
-            f"{CUT_PERIODS:g} periods are longer than the recording's {N / fs:.3g} s",
+            f"{CUT_PERIODS:g} periods are longer than the {N / fs:.3g} s of the recording",
             place=signals.recording,
             key="cut-off",
             value=cutoff_hz,
@@ -311,7 +314,8 @@ def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
             key="controller.bandwidth_hz",
             value=bandwidth_hz,
             shown=f"{bandwidth_hz:g}",
-            expected=f"a period shorter than the {N / fs:.3g} s of {signals.recording}",
+            expected=f"at least {fs / N:.3g}, one period in the {N / fs:.3g} s of "
+            f"{signals.recording}",
         )
     return cutoff_hz
 

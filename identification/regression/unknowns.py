@@ -339,8 +339,10 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
         columns,
         key,
         kind,
-        "offset = true of a joint" if kind == "Off" else "joints with this friction",
-        text="no joint has it",
+        text="no joint has such a parameter",
+        advice="Set offset = true of a joint, or remove it"
+        if kind == "Off"
+        else "Set this friction of a joint, or remove it",
     )
     for c in columns:
         alone = np.flatnonzero((base.columns == c) & (np.count_nonzero(base.K, axis=1) == 1))
@@ -348,9 +350,9 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
             len(alone),
             key,
             kind,
-            "a kind whose parameters stand alone in the base parameters",
-            text=f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs "
-            "an offset)",
+            text=f"{model.names[c]} cannot be distinguished from other parameters, as an offset "
+            "from gravity",
+            advice="Remove it",
         )
         found += alone.tolist()
     return found

@@ -335,7 +335,8 @@ def described_robot(
         payload is None or robot.gain_known,
         "payload",
         str(payload),
-        "drive gains of the motors: in A or V a mass has no weight",
+        text="the weight of a payload in A or V is unknown",
+        advice="Specify the drive_gain of every motor",
     )
     inverse = InverseModel(robot)
     base = base_parameters(inverse)
@@ -347,7 +348,9 @@ def described_robot(
     )
     M = model.inertia(np.random.default_rng(0).uniform(low, high, (POSES, robot.n)))
     if (reason := why_not_positive(M)) is not None:
-        raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
+        raise BadInputError(
+            f"cannot be simulated: {reason}", place=f"robot {robot.name}: [parameters]"
+        )
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     return RigidBodyPlant(
         direct_model(inverse, carried),

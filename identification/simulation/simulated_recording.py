@@ -296,12 +296,12 @@ def refuse_foreign_reference(problem: Problem) -> None:
     if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
         j, unstated = int(far.argmax()), unstated_limits(problem)
         raise BadInputError(
-            f"{error[j]:.3g} {joints[j].position_unit} rms from the measured position, with a "
-            f"travel of {scale[j]:.3g}{''.join(f'; {limit}' for limit in unstated)}",
+            f"differs from the measured position by {error[j]:.3g} {joints[j].position_unit} rms, "
+            f"with a travel of {scale[j]:.3g}{''.join(f'; {limit}' for limit in unstated)}",
             place=f"{signals.recording}: reference of joint {joints[j].name}",
-            expected="saturation of the motor in robot.toml"
+            advice="Specify the saturation of the motor in robot.toml"
             if unstated
-            else "the reference of this recording",
+            else "Use the reference of this recording",
         )
 
 
@@ -382,23 +382,23 @@ def refuse_instants(problem: Problem, period_s: float, duration_s: float, subste
         periods * substeps,
         int(periods + 1e-6) + 1,
     )
-    for wrong, what, expected in (
+    for wrong, what, limit in (
         (
             steps > MAX_STEPS,
-            f"{steps:.2g} steps to simulate with bandwidth_hz = {hz:g}",
+            f"with bandwidth_hz = {hz:g} a simulation takes {steps:.2g} steps",
             f"at most {MAX_STEPS:.2g} steps",
         ),
         (
             instants < MIN_INSTANTS,
-            f"{instants} instants in the {duration_s:.3g} s of {signals.recording}",
-            f"at least {MIN_INSTANTS} instants",
+            f"it acts {instants} times in the {duration_s:.3g} s of {signals.recording}",
+            f"at least {MIN_INSTANTS} times",
         ),
     ):
         if wrong:
             Location(f"robot {signals.robot.name}").refuse(
                 "controller.sample_rate_hz",
                 1 / period_s,
-                expected,
+                limit,
                 text=what,
                 shown=f"{1 / period_s:g}",
             )

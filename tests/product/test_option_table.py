@@ -92,7 +92,7 @@ FIT = [
     row("fit log.mcap --start regular", '"start": "regular"'),
     row("fit log.mcap --start wls.json", "wls.json"),
     row("fit log.mcap --method wls --start ls", "expected --method iv", 1),
-    row("fit noref.mcap --start ls", "expected iv", 1),
+    row("fit noref.mcap --start ls", "only instrumental variables iterate. Use iv", 1),
     row("fit log.mcap --cutoff-hz 12", '"cutoff_hz": 12.0'),
     row("fit noref.mcap --cutoff-hz 12 --torque-lag-s 0.001", '"torque_lag_s": 0.001'),
     row("fit log.mcap --torque-lag-s none", "0 s, as torque_lag_s states"),
@@ -133,7 +133,7 @@ SEVERAL = [
     row("fit log.mcap other.mcap --robot own.toml", "Off1"),
     row("fit log.mcap other.mcap --robot own.toml --consistent", "added chi²"),
     row("fit log.mcap --robot own.toml", "Off1"),
-    row("fit log.mcap log.mcap", "expected each recording once", 1),
+    row("fit log.mcap log.mcap", "Pass each recording once", 1),
 ]
 LOAD = [
     row("fit rub.mcap --robot load.toml", '"mu1"', of="rub"),
@@ -156,11 +156,11 @@ GAINS = [
     row("fit free.mcap box.mcap --gains --method wls", "expected iv with --gains", 1),
     row("fit free.mcap box.mcap --gains --consistent", "added chi²"),
     row("fit free.mcap box.mcap --gains --essential", "motor_1"),
-    row("fit free.mcap --gains", "no recording differs in payload", 1),
+    row("fit free.mcap --gains", "all recordings have the same payload", 1),
     row("fit log.mcap loaded.mcap --gains", r"motor_1 1\.00\d* ±"),
     row("fit blank.mcap", "state drive_gain, or record with and without", 3),
     row("fit blank.mcap --consistent", "expected a drive gain for every motor", 1),
-    row("friction free.mcap --gains", "expected one recording without and one with", 1),
+    row("friction free.mcap --gains", "Use one recording without and one with", 1),
 ]
 VALIDATE = [
     row("validate fit.json other.mcap", "torque error in the"),
@@ -168,7 +168,7 @@ VALIDATE = [
     row("validate fit.json other.mcap --torque-lag-s 0.002", "torque error in the"),
     row("validate fit.json loaded.mcap", "torque error in the"),
     row("validate fit.json loaded.mcap --payload loaded=none", "torque error in the"),
-    row("validate fit.json loaded.mcap --payload loaded=unknown", "expected its mass", 1),
+    row("validate fit.json loaded.mcap --payload loaded=unknown", "Give its mass in kg", 1),
     row("validate fit.json other.mcap --max-error-percent 0.01", "expected at most 0.01 %", 3),
     row(
         "validate fit.json other.mcap --max-error-percent 20",
@@ -217,7 +217,7 @@ EXPORT = [
     row("export gains.json --urdf out.urdf --mjcf out.xml --toml out.toml", "out.toml: .*complete"),
     row(
         "export amperes.json --mjcf out.xml",
-        "expected a fit to be trusted, or --allow-untrusted",
+        "Export a trusted fit, or allow others .--allow-untrusted",
         1,
     ),
     row("export amperes.json --mjcf out.xml --allow-untrusted", "expected a drive gain", 1),

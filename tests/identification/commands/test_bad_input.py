@@ -67,7 +67,7 @@ def test_volts_never_become_newton_metres(tmp_path):
             "bandwidth_hz",
             "1e-9",
             "25",
-            "controller.bandwidth_hz = 1e-09: expected a period shorter than",
+            "controller.bandwidth_hz = 1e-09: expected at least 0.",
         ),
         ("sample_rate_hz", "1e9", None, "expected at most 2e+07 steps"),
     ],

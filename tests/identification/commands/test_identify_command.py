@@ -95,7 +95,7 @@ def test_options_and_keys_change_fit(capsys, tmp_path):
 def test_simulation_is_repeatable(capsys, tmp_path):
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
-    assert "no [parameters] to simulate with" in refused(
+    assert "has no [parameters], which simulations need" in refused(
         capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap"
     )
     for name in ("a.mcap", "b.mcap"):
@@ -136,12 +136,12 @@ def test_gaps_short_recordings_standstill_named(capsys, tmp_path):
     for rows, message in (
         (
             far,
-            "samples: a step of 2000 s after 1.4990 s: expected 1.000 ms, and each motion as a",
+            "samples: the time step after 1.4990 s is 2000 s, but the period is 1.000 ms. Split",
         ),
-        (samples[3000:3300], "expected at least 1200, 30 decimated rows"),
-        (samples[:1], "expected a trajectory"),
+        (samples[3000:3300], "expected at least 1200, for 30 decimated rows"),
+        (samples[:1], "samples = 1: expected at least 2"),
         (still, "no joint moves"),
-        (half, "not excited = Fv2, Fc2"),
+        (half, "parameters = Fv2, Fc2: they have no effect on the torque"),
     ):
         write_samples(path, robot, rows)
         assert message in refused(capsys, "fit", path)

@@ -282,7 +282,7 @@ def test_incomplete_controller_names_missing_keys():
         {"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml"
     )
     with pytest.raises(
-        BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"
+        BadInputError, match=r"velocity_gain, integral_gain is missing\. Give all of structure"
     ):
         described_law(robot)
 

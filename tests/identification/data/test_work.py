@@ -117,4 +117,4 @@ def test_unusable_cluster_refused(monkeypatch, installed):
         monkeypatch.setitem(sys.modules, "distributed", None)
     line = told_of(Work("nowhere://host:8786"), slowly_squared, [(1,)])
     assert line.startswith("nowhere://host:8786: ")
-    assert line.endswith(": expected Dask, on workers with this package")
+    assert line.endswith(". Start Dask workers that have this package installed.")

@@ -196,11 +196,11 @@ def test_expected_links_from_urdf_or_plausible():
 
 def test_non_finite_estimates_refused():
     K, physical = one_link()
-    for beta, C in (
-        (np.full(7, np.nan), np.eye(7)),
-        (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7))),
+    for beta, C, text in (
+        (np.full(7, np.nan), np.eye(7), "did not converge"),
+        (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7)), "covariance of the estimates is not"),
     ):
-        with pytest.raises(NoFitError, match="no consistent parameters found"):
+        with pytest.raises(NoFitError, match=text):
             consistent_parameters(beta, C, K, physical)
 
 

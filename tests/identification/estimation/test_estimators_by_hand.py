@@ -142,7 +142,7 @@ def test_reduction_ends_at_given_error_ratio(ratio, kept):
 def test_rounding_only_column_not_excited():
     rng = np.random.default_rng(5)
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
-    with pytest.raises(NoFitError, match="parameters not excited = b: no torque depends on them"):
+    with pytest.raises(NoFitError, match="parameters = b: they have no effect on the torque"):
         ordinary_least_squares(
             System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc"))
         )

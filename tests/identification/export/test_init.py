@@ -373,39 +373,39 @@ XACRO = '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'
 FLOATING = urdf(mid=joint("swing", "floating", "column", "arm"), lift="")
 TWO_CHAINS = urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast"))
 BETWEEN = "between the base and joint 'slide': type = "
-AGAIN = "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another"
+AGAIN = "joint 'again': child = 'tool': is the child of joint 'mount' too. Give each"
 BAD = (
     ("<robot", "is not XML: "),
-    ("<sdf/>", "its root = <sdf>: expected <robot>"),
-    ('<robot name="x"/>', "has no link: expected links"),
-    (urdf(base=XACRO), "has xacro elements: expected a URDF: xacro FILE > robot.urdf"),
-    (urdf(extra=link("island")), "2 root links: base, island: expected one base link"),
+    ("<sdf/>", "root element = <sdf>: expected <robot>"),
+    ('<robot name="x"/>', "has no link. Add its links and joints."),
+    (urdf(base=XACRO), "has xacro elements. Convert it first: `xacro FILE > robot.urdf`."),
+    (urdf(extra=link("island")), "has 2 root links: base, island. Give it one base link"),
     (
         urdf(extra=joint("back", "fixed", "tool", "base")),
-        "no root link: its joints form a loop: expected one base link",
+        "has no root link, since its joints form a loop. Give it one base link",
     ),
-    (urdf(extra=RING), "links x, y are in a loop of joints: expected a tree"),
+    (urdf(extra=RING), "links x, y are in a loop of joints. Break the loop"),
     (urdf(extra=joint("again", "fixed", "base", "tool")), AGAIN),
     (
         turn(parent="floor"),
         "joint 'turn': parent = 'floor': expected one of the links base, column",
     ),
     (UNKNOWN, "joint 'turn': parent is missing: expected one of the links"),
-    (urdf(extra=link("base")), "link 9: name = 'base': expected a name not used before"),
-    (urdf(extra="<link/>"), "link 9: name is missing: expected a name"),
+    (urdf(extra=link("base")), "link 9: name = 'base': is used twice. Give each link a name"),
+    (urdf(extra="<link/>"), "link 9: name is missing. Give each link a name"),
     (
         turn(kind="ball"),
         "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar",
     ),
     (FLOATING, f"joint 'swing', {BETWEEN}'floating': expected fixed, revolute"),
-    (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
+    (STIFF, "has no movable joint: expected joints of type revolute, continuous, prismatic"),
     (
         TWO_CHAINS,
         "3 joints each, which end at slide, sway. Name the joints of one chain (--joints).",
     ),
     (
         turn('<limit lower="1" upper="-1"/>'),
-        "joint 'turn': limit lower = 1.0: expected less than upper = -1",
+        "joint 'turn': limit lower = 1.0: expected at most upper = -1",
     ),
     (
         turn('<limit lower="low" upper="-1"/>'),
@@ -413,13 +413,13 @@ BAD = (
     ),
     (
         turn('<limit velocity="-1"/>'),
-        "joint 'turn': limit velocity = -1.0: expected a number from 0",
+        "joint 'turn': limit velocity = -1.0: expected 0 or greater",
     ),
     (
         turn('<dynamics damping="-0.1"/>'),
-        "joint 'turn': dynamics damping = -0.1: expected a number from 0",
+        "joint 'turn': dynamics damping = -0.1: expected 0 or greater",
     ),
-    (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
+    (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a vector other than zero"),
     (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
     (
         urdf(arm=link("arm", inertia="")),
@@ -494,7 +494,7 @@ def test_no_inertials_no_a_priori_values(here, capsys, text, why):
     cell = load_robot("cell.toml")
     assert "no [parameters]" in driven_plant(cell, resolve(cell, "cell.toml")).warning
     for command in (["study", "robot.toml", "--runs", "1"], ["simulate", "robot.toml", "-o", "a"]):
-        assert "no [parameters] to simulate with: expected" in refused(capsys, *command)
+        assert "has no [parameters], which simulations need. Write" in refused(capsys, *command)
 
 
 @pytest.mark.parametrize("text", [bare(urdf()), urdf(arm=link("arm", mass=-1))])

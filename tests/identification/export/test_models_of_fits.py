@@ -69,7 +69,7 @@ def test_unsupported_law_refused(line, tmp_path, capsys):
     fit, toml, content = tmp_path / "fit.json", tmp_path / "new.toml", with_controller("")
     content["description"]["robot.toml"] = line + content["description"]["robot.toml"]
     fit.write_text(json.dumps(content))
-    assert "[controller]: cannot be replaced line by line: expected a line [controller]" in refused(
+    assert "[controller]: cannot be replaced line by line. Write a line [controller]" in refused(
         capsys, "export", fit, "--toml", toml
     )
     assert not toml.exists()
@@ -147,4 +147,4 @@ def test_incomplete_covariance_refused(tmp_path):
     with pytest.raises(BadInputError) as caught:
         read_fit(tmp_path / "fit.json").export(toml=tmp_path / "new.toml")
     first = base_parameters(InverseModel(robot_named("scara"))).names[0]
-    assert (caught.value.key, caught.value.value) == ("covariance", first)
+    assert (caught.value.key, caught.value.text) == ("covariance", f"lacks {first}")

@@ -105,7 +105,7 @@ def test_saturated_reference_is_not_foreign():
     # A limit that is not stated is found, but the simulated drives would not have it.
     unknown = refusal(dataclasses.replace(signals, robot=scara()))
     assert "drive of motor_1 saturates at 38" in unknown
-    assert "expected saturation of the motor" in unknown
+    assert "Specify the saturation of the motor" in unknown
 
 
 NEVER_REACHED = (1000.0, 1000.0)  # saturation is no excuse
@@ -126,7 +126,7 @@ NEVER_REACHED = (1000.0, 1000.0)  # saturation is no excuse
 def test_foreign_reference_refused(held, changed, limits):
     signals = recorded(limits, held=held)
     foreign = dataclasses.replace(signals, q_ref=np.array(changed(signals.q_ref)))
-    assert "expected the reference of this recording" in refusal(foreign)
+    assert "Use the reference of this recording" in refusal(foreign)
 
 
 def test_foreign_reference_of_slow_joint_refused():

@@ -238,7 +238,7 @@ def test_unsimulatable_controller_refused(line, key, value):
 
 
 def test_inertias_of_regular_start():
-    with pytest.raises(BadInputError, match="start = 'ls': expected regular, for inertias"):
+    with pytest.raises(BadInputError, match="start = 'ls': expected regular if inertias are given"):
         Iteration(inertias=np.ones(2))
 
 

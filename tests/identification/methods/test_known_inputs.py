@@ -206,7 +206,7 @@ def test_fit_with_other_description(tmp_path):
     (tmp_path / "volts.toml").write_text(volts)
     with pytest.raises(
         BadInputError,
-        match="known_torque: cannot be added to efforts in V: expected the drive gains",
+        match="known_torque: cannot be added to efforts in V",
     ):
         load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "volts.toml"))
 

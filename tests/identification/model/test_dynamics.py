@@ -168,8 +168,8 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
 @pytest.mark.parametrize(
     ("urdf", "names", "message"),
     [
-        ("<robot", ("j1", "j2"), "URDF: does not load"),
-        ("<robot name='x'><joint/></robot>", ("j1", "j2"), "URDF: does not load|movable joint"),
+        ("<robot", ("j1", "j2"), "URDF: cannot be loaded"),
+        ("<robot name='x'><joint/></robot>", ("j1", "j2"), "URDF: cannot be loaded|movable joint"),
         (TWO_TURNING, ("j1", "elbow"), "movable joint = 'elbow': expected one of j1, j2, grip"),
         (TWO_TURNING, ("j2", "j1"), "order of joints = j2, j1: expected j1, j2"),
         (TWO_TURNING, ("j1", "grip"), "joint 'grip': type = 'JointModelPX': expected revolute"),
@@ -184,5 +184,7 @@ def test_mismatched_urdf_refused(urdf, names, message):
 def test_a_priori_values_are_standard_parameters():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
-    with pytest.raises(BadInputError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
+    with pytest.raises(
+        BadInputError, match=r"parameters\.ZZ7 = 0\.061: is not a standard parameter"
+    ):
         described_parameters(dynamics, base_parameters(dynamics))

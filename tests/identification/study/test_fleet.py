@@ -81,7 +81,7 @@ def test_table_has_each_fit_and_friction_step(fleet, tmp_path, capsys):
     assert (before, after) == pytest.approx((203.5, 305.0), rel=0.05)
     change = f"Fv1 {before:.4g} to {after:.4g} N s/m"
     assert [row["changed"] for row in rows] == ["", "", "", change, ""]
-    assert (rows[-1]["status"], rows[-1]["Fv1"], "is cut off" in rows[-1]["reason"]) == (
+    assert (rows[-1]["status"], rows[-1]["Fv1"], "is truncated" in rows[-1]["reason"]) == (
         "failed",
         "",
         True,

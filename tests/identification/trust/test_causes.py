@@ -148,7 +148,7 @@ def test_period_given_as_rate_refused(bandwidth_hz, rate_hz, least_hz):
         make_problem(replace(at_rate(signals, rate_hz), robot=robot), Overrides())
     assert refused.value.key == "sample_rate_hz"
     assert refused.value.expected == (
-        f"above {least_hz} Hz, twice the bandwidth of the position loop: a rate in Hz, not a period"
+        f"more than {least_hz} Hz, twice the bandwidth of the position loop"
     )
 
 
