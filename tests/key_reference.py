@@ -53,9 +53,24 @@ MADE = "made by `python tests/key_reference.py` -->"  # the mark above a table i
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
 
+# By the limits in the schema of a number, the range in words.
+RANGES = {
+    (): "",
+    ("minimum",): " ({minimum:.12g} or greater)",
+    ("exclusiveMinimum",): " (greater than {exclusiveMinimum:.12g})",
+    ("maximum", "minimum"): " ({minimum:.12g} to {maximum:.12g})",
+    ("exclusiveMaximum", "minimum"): " ({minimum:.12g} to less than {exclusiveMaximum:.12g})",
+    ("exclusiveMinimum", "maximum"): " (greater than {exclusiveMinimum:.12g}, at most {maximum:g})",
+    (
+        "exclusiveMaximum",
+        "exclusiveMinimum",
+    ): " (between {exclusiveMinimum} and {exclusiveMaximum})",
+}
+
+
 def keys_of(kind: type) -> dict[str, dict[str, Any]]:
-    """By structure the keys, each with its JSON Schema and under `required`
-    whether it must be stated.
+    """Return by structure the keys, each with its JSON Schema, and under `required` whether it
+    must be given.
     """
     _, found = to_builtins(schema_components((kind,)))
     return {
@@ -68,7 +83,7 @@ def keys_of(kind: type) -> dict[str, dict[str, Any]]:
 
 
 def values_of(schema: Mapping[str, Any]) -> str:
-    """What a key may be: its words, else its type."""
+    """Return what a key may be: its words, else its type and range."""
     if "enum" in schema:
         return ", ".join(f"`{value}`" for value in schema["enum"])
     if "anyOf" in schema:
@@ -78,22 +93,26 @@ def values_of(schema: Mapping[str, Any]) -> str:
         return "table"
     if schema["type"] == "array":
         items = schema.get("prefixItems")
-        return f"{len(items)} numbers" if items else f"list of {values_of(schema['items'])}"
+        return (
+            f"{len(items)} numbers"
+            if items
+            else "list of "
+            + re.sub(r"([a-rt-z])(?=$| \()", r"\1s", values_of(schema["items"]), count=1)
+        )
     names = {
         "number": "number",
         "integer": "whole number",
         "string": "text",
         "boolean": "`true`, `false`",
     }
-    return {**names, "object": "table"}[schema["type"]]
+    range_of = RANGES[tuple(sorted(key for key in schema if key.lower().endswith("imum")))]
+    return {**names, "object": "table"}[schema["type"]] + range_of.format(**schema)
 
 
 def default_of(schema: Mapping[str, Any]) -> str:
-    if schema["required"]:
-        return "required"
-    default = schema.get("default")
-    if default in (None, [], {}) or "$ref" in schema:
-        return ""
+    default = list(x) if isinstance(x := schema.get("default"), tuple) else x
+    if schema["required"] or default in (None, [], {}) or "$ref" in schema:
+        return "required" * schema["required"]
     return f"`{str(default).lower() if isinstance(default, bool) else default}`"
 
 
@@ -217,19 +236,20 @@ def page_of_tests() -> str:
 
 def pages() -> dict[Path, str]:
     """Path and text of each reference."""
-    unstated = (
-        "An empty default: the key may be left out, and is then not used, unless its meaning "
-        "says otherwise."
+    optional = (
+        "A key with an empty default may be left out. It then has no effect, unless its meaning "
+        "gives a default."
     )
-    robot = ["# Reference: robot.toml, commands and options of robot-identify", "", HEAD, ""]
-    robot += ["Angles are in degrees, everything else in SI. Unknown keys are refused. " + unstated]
-    robot += [
+    robot = [
+        "# Reference: robot.toml, commands and options of robot-identify",
+        "",
+        HEAD,
+        "",
+        "Angles are in degrees, everything else in SI. Unknown keys are refused. " + optional,
         "",
         "## robot.toml",
         "",
         "The table `[bus]` is in [the other reference](../../acquisition/docs/reference.md).",
-    ]
-    robot += [
         *key_tables(RobotFile, ROBOT_TABLES),
         "",
         "## Commands of robot-identify",
@@ -243,7 +263,7 @@ def pages() -> dict[Path, str]:
         "",
         HEAD,
         "",
-        unstated,
+        optional,
     ]
     bus += ["", "## Bus keys of robot.toml", *key_tables(BusFile, BUS_TABLES)]
     bus += ["", "## map.toml", *key_tables(TableMap, MAP_TABLES)]

@@ -74,9 +74,12 @@ def lines_of(path: Path) -> Iterator[str]:
         given = dict(zip(POSITIONS[name], arguments, strict=False)) | {
             k.arg: k.value for k in call.keywords
         }
-        says = names.get(x.id, x) if isinstance(x := given.get("expected"), ast.Name) else x
-        if isinstance(says, ast.Tuple):  # a fact and an advice, instead of what is expected
-            given |= dict(zip(("text", "advice", "expected"), (*says.elts, None), strict=True))
+        # A rule of a table of robot.toml may give a fact and an advice instead of what is expected.
+        given |= (
+            dict(zip(("text", "advice", "expected"), (*says.elts, None), strict=True))
+            if isinstance(says := given.get("expected"), ast.Tuple)
+            else {}
+        )
         text, expected, advice, arguments = (
             wording(names.get(x.id, x) if isinstance(x := given.get(key), ast.Name) else x)
             for key in ("text", "expected", "advice", "arguments")

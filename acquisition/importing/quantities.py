@@ -64,19 +64,24 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """
 
     columns: Annotated[
-        tuple[str | int, ...], note("by name or number, one per motor or joint", min_length=1)
+        tuple[str | int, ...],
+        note("columns by name or number, one per motor or joint", min_length=1),
     ]
-    unit: Annotated[str | tuple[str, ...], note("unit of all columns, or one for each")]
+    unit: Annotated[str | tuple[str, ...], note("unit of all columns, or one per column")]
     table: Annotated[
-        TableNumber, note("file with the columns, 1: the first on the command line")
+        TableNumber, note("file of the columns, counted from 1 on the command line")
     ] = 1
-    side: Annotated[Side | None, note("motor or joint (default: by the unit)")] = None
+    side: Annotated[
+        Side | None, note("whether values are those of motors or joints (default: from the unit)")
+    ] = None
 
 
 class Angles(Quantity, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[position]` and `[reference]`: columns of angles or lengths."""
 
-    unwrap: Annotated[bool, note("angles jump by a turn, such as from 180 to -180 deg")] = False
+    unwrap: Annotated[bool, note("whether angles jump by a turn, such as from 180 to -180 deg")] = (
+        False
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

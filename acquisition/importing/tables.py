@@ -40,16 +40,18 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     column: Annotated[str | int | None, note("column of the times, by name or number")] = None
     unit: Annotated[str, note("unit of the times: s, ms, us or ns")] = "s"
     table: Annotated[
-        TableNumber, note("file with the column, 1: the first on the command line")
+        TableNumber, note("file of the column, counted from 1 on the command line")
     ] = 1
     ticks: Annotated[
-        str | int | None, note('column of a counter, which is the time; or "from velocity"')
+        str | int | None, note('column of a counter that gives the time, or "from velocity"')
     ] = None
-    tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
-    resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
+    tick_s: Annotated[Positive | None, note("duration of a tick, s; required with ticks")] = None
+    resample_hz: Annotated[
+        Positive | None, note("rate to which all values are interpolated, Hz")
+    ] = None
     largest_gap_periods: Annotated[
         Annotated[float, msgspec.Meta(ge=1.5)] | None,
-        note("longest step that is accepted, in periods; default: any"),
+        note("longest accepted step, in periods (default: any)"),
     ] = None
 
 
@@ -62,20 +64,21 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     effort: Annotated[Quantity, note("columns of currents, voltages, torques or forces")]
     reference: Annotated[Angles | None, note("columns of the position reference")] = None
     velocity: Annotated[Quantity | None, note("columns of measured speeds")] = None
-    known_torque: Annotated[Quantity | None, note("columns of known torques on the joints")] = None
-    feedforward: Annotated[
-        Quantity | None, note("columns of what is added to the controller's output")
-    ] = None
-    time: Annotated[
-        Time | None, note("column of times or of a counter; in place of sample_rate_hz")
-    ] = None
-    sample_rate_hz: Annotated[Positive | None, note("rate of the rows, Hz; in place of [time]")] = (
+    known_torque: Annotated[Quantity | None, note("columns of external torques on the joints")] = (
         None
     )
+    feedforward: Annotated[
+        Quantity | None, note("columns of the feed-forward added to the controller's output")
+    ] = None
+    time: Annotated[
+        Time | None, note("column of times or of a counter; replaces sample_rate_hz")
+    ] = None
+    sample_rate_hz: Annotated[Positive | None, note("sample rate, Hz; replaces [time]")] = None
     effort_timing: Annotated[
         EffortTiming,
         note(
-            "instants of the efforts: command held to the next row, mean about it, measured at it"
+            "what an effort is: the command that holds until the next row, the mean around "
+            "the row, or the value at it"
         ),
     ] = "unknown"
 

@@ -45,14 +45,14 @@ class PdoFile(TomlTable, frozen=True):
     """
 
     objects: Annotated[
-        tuple[ObjectName, ...], note("its objects in order", min_length=1, max_length=8)
+        tuple[ObjectName, ...], note("mapped objects, in order", min_length=1, max_length=8)
     ]
     can_id: Annotated[
-        CanId | None, note("CAN identifier (default: the usual one of its number)")
+        CanId | None, note("CAN identifier (default: the usual one for its number)")
     ] = None
     number: Annotated[
         Annotated[int, msgspec.Meta(ge=1, le=512)] | None,
-        note("number of the PDO, from 1 (default: its place in the list)"),
+        note("number of the PDO (default: its place in the list)"),
     ] = None
 
 
@@ -63,50 +63,70 @@ class DriveFile(TomlTable, frozen=True):
     station: Annotated[
         Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)] | None,
         note(
-            "EtherCAT station address in a capture (default: the next slave of the bus with its "
-            "position)"
+            "EtherCAT station address in a capture (default: the next slave that sends "
+            "the position)"
         ),
     ] = None
-    dictionary: Annotated[str | None, note("EDS or DCF in the folder of robot.toml")] = None
+    dictionary: Annotated[
+        str | None, note("object dictionary (EDS or DCF), a file in the folder of robot.toml")
+    ] = None
     objects: Annotated[
         dict[ObjectName, str],
-        note("types of objects such as I32, in place of a dictionary or in addition to one"),
+        note("types of objects, such as I32, in place of a dictionary or in addition to it"),
     ] = msgspec.field(default_factory=dict)
     status: Annotated[ObjectName, note("statusword")] = "6041"
     control: Annotated[ObjectName, note("controlword")] = "6040"
-    position: Annotated[ObjectName, note("actual position (I32), counts")] = "6064"
-    target: Annotated[ObjectName, note("target position (I32), counts")] = "607A"
+    position: Annotated[ObjectName, note("actual position (type I32), counts")] = "6064"
+    target: Annotated[ObjectName, note("target position (type I32), counts")] = "607A"
     reference: Annotated[
         ObjectName | None, note("reference of the current or torque loop, such as 6074")
     ] = None
-    reference_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = (
-        None
-    )
+    reference_rule: Annotated[
+        str | None, note("unit of the raw integer (default: that of CiA 402)")
+    ] = None
     actual: Annotated[
         ObjectName | None, note("actual current or torque, if the drive has no reference")
     ] = None
-    actual_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = None
-    rated_current_a: Annotated[Positive | None, note("required value of 6075h, A")] = None
-    rated_torque_nm: Annotated[Positive | None, note("required value of 6076h, N m")] = None
-    rated_force_n: Annotated[
-        Positive | None, note("required value of 6076h of a linear motor, N")
+    actual_rule: Annotated[
+        str | None, note("unit of the raw integer (default: that of CiA 402)")
     ] = None
-    rated_current_unit: Annotated[str, note("unit of the drive's 6075h")] = "mA"
-    rated_torque_unit: Annotated[str, note("unit of the drive's 6076h; uN m for an EPOS4")] = "mN m"
+    rated_current_a: Annotated[
+        Positive | None, note("rated current, A: the required value of 6075h")
+    ] = None
+    rated_torque_nm: Annotated[
+        Positive | None, note("rated torque, N m: the required value of 6076h")
+    ] = None
+    rated_force_n: Annotated[
+        Positive | None, note("rated force of a linear motor, N: the required value of 6076h")
+    ] = None
+    rated_current_unit: Annotated[str, note("unit of 6075h in the drive")] = "mA"
+    rated_torque_unit: Annotated[str, note("unit of 6076h in the drive; uN m for an EPOS4")] = (
+        "mN m"
+    )
     counts_per_turn: Annotated[Counts | None, note("position counts per motor revolution")] = None
     counts_per_m: Annotated[Counts | None, note("position counts per metre of a linear motor")] = (
         None
     )
-    sign: Annotated[Sign, note("-1: the drive counts against the motor")] = 1
-    effort_sign: Annotated[Sign | None, note("-1: effort against the motor (default: sign)")] = None
-    zero_counts: Annotated[int, note("position at motor zero, counts", ge=-(2**31), lt=2**31)] = 0
+    sign: Annotated[Sign, note("-1 if the drive counts against the motor")] = 1
+    effort_sign: Annotated[
+        Sign | None, note("-1 if the effort acts against the motor (default: sign)")
+    ] = None
+    zero_counts: Annotated[
+        int, note("position at motor position 0, counts", ge=-(2**31), lt=2**31)
+    ] = 0
     homed: Annotated[
         HomedName | None,
-        note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1"),
+        note(
+            "what shows that the drive is homed: a bit that is set, such as 6041.8, or "
+            "an object that is not 0, such as 2000:1"
+        ),
     ] = None
     mapping: Annotated[
         Literal["table", "dictionary", "traffic"],
-        note("source of the PDOs: this table, a DCF, or what the drives confirmed by SDO"),
+        note(
+            "source of the PDOs: this table, a DCF (dictionary), or what the drives "
+            "confirmed by SDO (traffic)"
+        ),
     ] = "table"
     tpdo: Annotated[
         tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")
@@ -114,10 +134,7 @@ class DriveFile(TomlTable, frozen=True):
     rpdo: Annotated[tuple[PdoFile, ...], note("PDOs to the drive (default: control, target)")] = ()
     extra: Annotated[
         tuple[ObjectName | dict[str, Any], ...],
-        note(
-            "further objects that the drive sends at each SYNC, such as 606C, for the recorded "
-            "frames"
-        ),
+        note("further objects that the drive sends at each SYNC, such as 606C; kept in the frames"),
     ] = ()
 
     def __post_init__(self) -> None:
@@ -211,53 +228,62 @@ class DriveFile(TomlTable, frozen=True):
 class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives."""
 
-    interface: Annotated[Word, note("python-can's interface, such as socketcan or udp_multicast")]
+    interface: Annotated[Word, note("interface of python-can, such as socketcan or udp_multicast")]
     channel: Annotated[
         Word,
         note(
-            "python-can's channel, such as can0; of a log of several, the one imported: its name, "
-            'or "1" for CAN 1'
+            "channel of python-can, such as can0; the one to import from a log of "
+            'several, also "1" for CAN 1'
         ),
     ]
     drive: Annotated[
         tuple[DriveFile, ...],
         note("[[bus.drive]] tables, in the order of the motors", min_length=1),
     ]
-    sync_period_s: Annotated[Positive, note("time from SYNC to SYNC, s")]
+    sync_period_s: Annotated[Positive, note("SYNC period, s (0.0001 to 1)")]
     bitrate: Annotated[int, note("bit rate of the bus, bit/s")] = 1_000_000
     sync_producer: Annotated[
-        Literal["recorder", "other"], note("who sends SYNC; recorder: this program")
+        Literal["recorder", "other"],
+        note("who sends SYNC: this program (recorder), or another device (other)"),
     ] = "recorder"
     sync_can_id: Annotated[CanId, note("CAN identifier of SYNC")] = USUAL_SYNC
     loopback: Annotated[bool, note("whether udp_multicast stays on this machine")] = True
     heartbeat_s: Annotated[
         float,
         note(
-            "time between heartbeats, s; silence of three times as long is a fault",
+            "time between heartbeats, s; silence for three times as long is a fault",
             ge=0.01,
             le=10.0,
         ),
     ] = 0.1
     master_node: Annotated[
-        Node, note("node id of this master's heartbeat in motion; no drive may have it")
+        Node, note("node id of this program's heartbeat during motion; no drive may have it")
     ] = 127
     other_nodes: Annotated[
         tuple[Node, ...], note("node ids of further devices, such as grippers")
     ] = ()
     late_sync_s: Annotated[
         Positive | None,
-        note("largest delay of SYNC in motion, s (default: 3 periods, at least 0.02)"),
+        note("maximum delay of SYNC during motion, s (default: 3 periods, at least 0.02)"),
     ] = None
     enable_motion_deg: Annotated[
-        Positive, note("how far a joint may move while drives are enabled, deg")
+        Positive, note("maximum motion of a revolute joint while drives are enabled, deg")
     ] = 1.0
-    enable_motion_m: Annotated[Positive, note("the same of a prismatic joint, m")] = 0.005
+    enable_motion_m: Annotated[
+        Positive, note("maximum motion of a prismatic joint while drives are enabled, m")
+    ] = 0.005
     enable_watch_s: Annotated[
-        float, note("how long this holds after the last drive is enabled, s", ge=0.05, le=10.0)
+        float,
+        note(
+            "time for which this limit applies after the last drive is enabled, s", ge=0.05, le=10.0
+        ),
     ] = 0.2
     effort_timing: Annotated[
         EffortTiming,
-        note("instants of the efforts: command held after it, mean about it, measured at it"),
+        note(
+            "what an effort is: the command that holds after the sample, the mean around it, "
+            "or the value at it"
+        ),
     ] = "unknown"
 
     def __post_init__(self) -> None:

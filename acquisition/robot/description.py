@@ -21,12 +21,12 @@ class DH(TomlTable, frozen=True):
     Rot(z, theta) Trans(z, r).
     """
 
-    alpha_deg: Annotated[float, note("Rot(x, alpha): angle between the joint axes, deg")]
-    d_m: Annotated[float, note("Trans(x, d): distance of the joint axes, m")]
+    alpha_deg: Annotated[float, note("angle between the joint axes: Rot(x, alpha), deg")]
+    d_m: Annotated[float, note("distance between the joint axes: Trans(x, d), m")]
     theta_deg: Annotated[
-        float, note("Rot(z, theta): angle about the joint's axis at joint position 0, deg")
+        float, note("angle about the joint axis at joint position 0: Rot(z, theta), deg")
     ]
-    r_m: Annotated[float, note("Trans(z, r): offset along the joint's axis at joint position 0, m")]
+    r_m: Annotated[float, note("offset along the joint axis at joint position 0: Trans(z, r), m")]
 
 
 class Capsule(TomlTable, frozen=True):
@@ -67,34 +67,35 @@ _KEYS = {
 class Joint(TomlTable, frozen=True):
     """One `[[joint]]`: type, geometry, friction terms and limits; None: not stated."""
 
-    name: Annotated[Name, note("name, as in the URDF if there is one")]
+    name: Annotated[Name, note("name; with a URDF, that of its joint")]
     type: Annotated[
-        Literal["revolute", "prismatic"], note("kind of motion along or about the joint's z axis")
+        Literal["revolute", "prismatic"],
+        note("motion about (revolute) or along (prismatic) its z axis"),
     ]
-    dh: Annotated[DH | None, note("row of the Denavit-Hartenberg table, in place of a URDF")] = None
-    zero_deg: Annotated[float | None, note("added to inv(R) q_motor, deg (default: 0)")] = None
-    zero_m: Annotated[float | None, note("added to inv(R) q_motor, m (default: 0)")] = None
-    viscous: Annotated[bool | None, note("term of viscous friction (default: true)")] = None
-    coulomb: Annotated[bool | None, note("term of Coulomb friction (default: true)")] = None
-    offset: Annotated[bool | None, note("term of a constant torque (default: false)")] = None
+    dh: Annotated[DH | None, note("row of the Denavit-Hartenberg table; replaces a URDF")] = None
+    zero_deg: Annotated[float | None, note("joint angle at motor zero, deg (default: 0)")] = None
+    zero_m: Annotated[float | None, note("joint position at motor zero, m (default: 0)")] = None
+    viscous: Annotated[bool | None, note("viscous friction (default: true)")] = None
+    coulomb: Annotated[bool | None, note("Coulomb friction (default: true)")] = None
+    offset: Annotated[bool | None, note("constant torque (default: false)")] = None
     friction: Annotated[
         Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...],
-        note("asymmetric: Fv and Fc by direction; or a list of all terms"),
+        note("asymmetric: Fv and Fc depend on the direction; or a list of all terms"),
     ] = "symmetric"
     stribeck_speed_deg_s: Annotated[
         Positive | None,
-        note("speed at which the term stribeck has fallen to 37 %, deg/s; with that term only"),
+        note("speed at which Stribeck friction has fallen to 37 %, deg/s; with that term only"),
     ] = None
     stribeck_speed_m_s: Annotated[
         Positive | None,
-        note("speed at which the term stribeck has fallen to 37 %, m/s; with that term only"),
+        note("speed at which Stribeck friction has fallen to 37 %, m/s; with that term only"),
     ] = None
     rotor_inertia: Annotated[bool, note("whether the rotor inertia is a separate parameter")] = True
     position_deg: Annotated[
-        tuple[float, float] | None, note("[lowest, highest] position, deg; needed to move")
+        tuple[float, float] | None, note("lowest and highest position, deg; needed to move")
     ] = None
     position_m: Annotated[
-        tuple[float, float] | None, note("[lowest, highest] position, m; needed to move")
+        tuple[float, float] | None, note("lowest and highest position, m; needed to move")
     ] = None
     speed_deg_s: Annotated[Positive | None, note("maximum speed, deg/s; needed to move")] = None
     speed_m_s: Annotated[Positive | None, note("maximum speed, m/s; needed to move")] = None
@@ -111,13 +112,13 @@ class Joint(TomlTable, frozen=True):
         Positive | None, note("maximum following error, m; needed to move")
     ] = None
     effort_nm: Annotated[
-        Positive | None, note("maximum torque, N m (default: the URDF's, 0: none)")
+        Positive | None, note("maximum torque, N m (default: the URDF's, 0: no limit)")
     ] = None
     effort_n: Annotated[
-        Positive | None, note("maximum force, N (default: the URDF's, 0: none)")
+        Positive | None, note("maximum force, N (default: the URDF's, 0: no limit)")
     ] = None
     capsule: Annotated[
-        Capsule | None, note("cylinder with round ends about the moved link, for `excite`")
+        Capsule | None, note("cylinder with round ends around the moved link, for `excite`")
     ] = None
 
     def __post_init__(self) -> None:
@@ -189,26 +190,26 @@ class Motor(TomlTable, frozen=True):
     of the recorded effort.
     """
 
-    name: Annotated[Name, note("name, for messages and options")]
+    name: Annotated[Name, note("name in messages and options")]
     ratio: Annotated[
-        float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")
+        float | None, note("motor motion per joint motion, both in rad or m, signed (default: 1)")
     ] = None
     effort_unit: Annotated[
         Literal["A", "V", "N m", "N", "%"] | None,
-        note("unit of the recorded effort if there is no drive gain"),
+        note("unit of the recorded effort; required without a drive gain"),
     ] = None
     drive_gain: Annotated[
-        float | None, note("motor torque or force per unit of effort, in drive_gain_unit")
+        float | None, note("motor torque or force per unit of recorded effort, in drive_gain_unit")
     ] = None
     drive_gain_unit: Annotated[
         Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"] | None,
-        note("unit of the drive gain; with drive_gain"),
+        note("unit of the drive gain; required with drive_gain"),
     ] = None
     drive_gain_half_width: Annotated[
-        Positive | None, note("half of its 95 % interval, same unit (default: 0)")
+        Positive | None, note("95 % half-width of the drive gain, in drive_gain_unit (default: 0)")
     ] = None
     saturation: Annotated[
-        Positive | None, note("maximum effort of the drive, in the recorded unit")
+        Positive | None, note("maximum effort of the drive, in the unit of the recorded effort")
     ] = None
 
     def __post_init__(self) -> None:
@@ -261,7 +262,7 @@ class RobotFile(TomlTable, frozen=True):
         tuple[Joint, ...], note("[[joint]] tables, from the base outwards", min_length=1)
     ]
     motor: Annotated[
-        tuple[Motor, ...], note("[[motor]] tables; motor k turns joint k", min_length=1)
+        tuple[Motor, ...], note("[[motor]] tables; motor k moves joint k", min_length=1)
     ]
     controller: Annotated[Controller, note("how the drives follow their reference")]
     gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (
@@ -270,27 +271,27 @@ class RobotFile(TomlTable, frozen=True):
         -9.81,
     )
     urdf: Annotated[
-        str | None, note("file in the same folder; joints not named here are locked at 0")
+        str | None, note("URDF in the same folder; joints not named here are locked at 0")
     ] = None
     urdf_meshes: Annotated[
-        bool, note("recordings carry the meshes of the URDF's visual shapes")
+        bool, note("whether recordings contain the meshes of the URDF's visual shapes")
     ] = False
     motor_matrix: Annotated[
         tuple[tuple[float, ...], ...] | None,
-        note("R, in place of ratios: motor speed = R · joint speed"),
+        note("matrix R of motor speed = R · joint speed; replaces the ratios"),
     ] = None
-    identification: Annotated[Identification, note("settings of a fit that replace the rules")] = (
-        Identification()
-    )
-    parameters: Annotated[dict[str, float], note("standard parameters to simulate with, SI")] = (
+    identification: Annotated[
+        Identification, note("settings of a fit; they replace the defaults")
+    ] = Identification()
+    parameters: Annotated[dict[str, float], note("a priori standard parameters, by name, SI")] = (
         msgspec.field(default_factory=dict)
     )
-    payload: Annotated[PayloadFile, note("how the numbers of `--payload` are meant")] = (
+    payload: Annotated[PayloadFile, note("frame and accuracy of the numbers of `--payload`")] = (
         PayloadFile()
     )
-    bus: Annotated[BusFile | None, note("CAN bus and drives; needed to record")] = None
+    bus: Annotated[BusFile | None, note("CAN bus and drives; required to record")] = None
     base_capsule: Annotated[
-        Capsule | None, note("cylinder with round ends about the base, in its frame")
+        Capsule | None, note("cylinder with round ends around the base, in the base frame")
     ] = None
     ground_m: Annotated[
         float | None, note("height of the ground in the base frame, against gravity, m")

@@ -34,8 +34,8 @@ class Controller(TomlTable, frozen=True):
     bandwidth_hz: Annotated[
         Positive | None,
         note(
-            "bandwidth of the position loop, Hz; sets cut-off and decimation (default: by the "
-            "motion)"
+            "bandwidth of the position loop, Hz; sets cut-off and decimation (default: "
+            "from the motion)"
         ),
     ] = None
     structure: Annotated[
@@ -43,24 +43,24 @@ class Controller(TomlTable, frozen=True):
             "pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"
         ]
         | None,
-        note("control law (default: a PD of the bandwidth)"),
+        note("control law (default: a PD controller with this bandwidth)"),
     ] = None
     sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None
     position_gain: Annotated[
-        Gains, note("per motor, effort per rad or m (computed_torque: 1/s²)")
+        Gains, note("gains per motor, effort per rad or m (computed_torque: 1/s²)")
     ] = None
     velocity_gain: Annotated[
-        Gains, note("per motor, effort per rad/s or m/s (computed_torque: 1/s)")
+        Gains, note("gains per motor, effort per rad/s or m/s (computed_torque: 1/s)")
     ] = None
     integral_gain: Annotated[
-        Gains, note("per motor, effort per rad s or m s; none without an integral")
+        Gains, note("gains per motor, effort per rad s or m s; only with an integral")
     ] = None
     velocity_estimate: Annotated[
         Literal["exact", "backward_difference", "two_sample_mean"] | None,
-        note("speed from positions (default: backward_difference)"),
+        note("how speeds are computed from positions (default: backward_difference)"),
     ] = None
     gravity_feedforward: Annotated[
-        bool, note("whether gravity at the measured position is added to the law")
+        bool, note("whether the control law adds gravity at the measured position")
     ] = False
 
     def __post_init__(self) -> None:
@@ -89,10 +89,11 @@ class LowSpeed(TomlTable, frozen=True):
     """
 
     ls: Annotated[
-        Share | None, note("of least squares, % of the joint's peak speed (default: 4)")
+        Share | None, note("threshold of least squares, % of the joint's peak speed (default: 4)")
     ] = None
     iv: Annotated[
-        Share | None, note("of instrumental variables, % of the joint's peak speed (default: 4)")
+        Share | None,
+        note("threshold of instrumental variables, % of the joint's peak speed (default: 4)"),
     ] = None
 
 
@@ -102,41 +103,46 @@ class Identification(TomlTable, frozen=True):
     """
 
     cutoff_hz: Annotated[
-        Positive | None, note("low-pass cut-off, Hz (default: 5 times the bandwidth)")
+        Positive | None, note("cut-off of the low-pass filter, Hz (default: 5 times the bandwidth)")
     ] = None
     decimation: Annotated[
-        RowStep | None, note("samples per row of the fit (default: by the bandwidth)")
+        RowStep | None, note("samples per row of the fit (default: from the bandwidth)")
     ] = None
     span: Annotated[
-        Literal["motion", "all"], note("rows between first and last motion, or all")
+        Literal["motion", "all"], note("rows from the first to the last motion, or all rows")
     ] = "motion"
     cut_start_samples: Annotated[
-        Rows | None, note("samples left out at the start (default: 5 cut-off periods)")
+        Rows | None, note("samples removed at the start (default: 5 periods of the cut-off)")
     ] = None
     cut_end_samples: Annotated[
-        Rows | None, note("samples left out at the end (default: 5 cut-off periods)")
+        Rows | None, note("samples removed at the end (default: 5 periods of the cut-off)")
     ] = None
-    edges: Annotated[Edges, note('edge rule of decimation; "matlab" as MATLAB has it')] = "smooth"
+    edges: Annotated[Edges, note('how decimation treats the ends; "matlab": as MATLAB does')] = (
+        "smooth"
+    )
     low_speed_percent: Annotated[
         Share | LowSpeed | None,
         note(
-            "slower samples weigh nothing, % of the joint's peak speed; by method or one for all "
-            "(default: 4)"
+            "slower samples have zero weight, % of the joint's peak speed; one number, "
+            "or one per method (default: 4)"
         ),
     ] = None
     torque_lag_s: Annotated[
         Lag | Literal["none"] | None,
-        note("known delay of the recorded torque, s, positive: late; or none (default: estimated)"),
+        note(
+            'known delay of the recorded torque, s, positive if late; "none": no delay '
+            "(default: estimated)"
+        ),
     ] = None
     tolerance_percent: Annotated[
-        Positive, note("iv stops when no value changes by more, % of the value")
+        Positive, note("iv has converged if no value changes by more, % of the value")
     ] = 2.5
-    max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
+    max_iterations: Annotated[RowStep, note("maximum number of iterations of iv")] = 10
     own: Annotated[
         tuple[Literal["Off", "Fv", "Fc"], ...] | None,
         note(
-            "kinds of parameters that several recordings do not share (default: Fv and Fc with "
-            "--gains, else none)"
+            "kinds of per-recording parameters (default: Fv and Fc if drive gains are "
+            "identified, else none)"
         ),
     ] = None
 
@@ -159,13 +165,16 @@ class PayloadFile(TomlTable, frozen=True):
     frame: Annotated[
         Name | None,
         note(
-            "fixed link that the centre of mass is given in (default: the frame of the last joint)"
+            "link of the URDF in whose frame the centre of mass is given (default: frame "
+            "of the last joint)"
         ),
     ] = None
-    mass_half_width_kg: Annotated[
-        float, note("half of the 95 % interval of the weighed mass, kg", ge=0)
-    ] = 0.0
-    center_half_width_m: Annotated[float, note("the same of each coordinate, m", ge=0)] = 0.005
+    mass_half_width_kg: Annotated[float, note("95 % half-width of the weighed mass, kg", ge=0)] = (
+        0.0
+    )
+    center_half_width_m: Annotated[
+        float, note("95 % half-width of each coordinate of the centre of mass, m", ge=0)
+    ] = 0.005
 
 
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]

@@ -222,7 +222,7 @@ EXPORT = [
     ),
     row("export amperes.json --mjcf out.xml --allow-untrusted", "expected a drive gain", 1),
     row("export fit.json", "expected --urdf, --mjcf or --toml with a file", 1),
-    row("export fit.json --mjcf log.mcap", "is a recording: expected another name", 1),
+    row("export fit.json --mjcf log.mcap", "is a recording. Choose another name", 1),
     row(
         "export rubless.json --mjcf out.xml",
         "out.xml",

@@ -138,9 +138,10 @@ def test_ambiguous_shape_is_refused(tmp_path):
     )
     assert np.array_equal(read_columns(path, ["q(:,1:3)"], 3), square)
     assert np.array_equal(read_columns(path, ["q(1:3,:)"], 3), square.T)
-    one_length = "expected variables of one length, 3 columns in all"
-    apart = "the variables do not fit together: "
-    assert refused(path, ["wide", "short"], 3) == f"{apart}wide 7 x 2, short 1 x 5: {one_length}"
+    apart = (
+        "the variables do not fit together: {}: expected variables of one length, 3 columns in all"
+    )
+    assert refused(path, ["wide", "short"], 3) == apart.format("wide 7 x 2, short 1 x 5")
     # 14 + 7 numbers would be 7 rows of 3; but here the name says that each row of three is a joint.
     path = mat(tmp_path, {"q": Q[:, :2].T, "t": T})
-    assert refused(path, ["q(:,1:7)", "t"], 3) == f"{apart}q(:,1:7) 2 x 7, t 1 x 7: {one_length}"
+    assert refused(path, ["q(:,1:7)", "t"], 3) == apart.format("q(:,1:7) 2 x 7, t 1 x 7")

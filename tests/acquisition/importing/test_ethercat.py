@@ -166,8 +166,9 @@ def test_capture_begun_in_operation_needs_mapping(tmp_path, image):
         r"no mapping of inputs was captured; the capture has LR[DW] .* bytes at 0x10000.*mapping"
     )
     assert re.search(missing, refusal(tmp_path, content))
-    told = refusal(tmp_path, content, mapping=[WHOLE, WHOLE])
-    assert "no datagram has the 160 bits of the given mapping; the capture has" in told
+    assert "no datagram has the 160 bits of the given mapping; the capture has" in refusal(
+        tmp_path, content, mapping=[WHOLE, WHOLE]
+    )
 
 
 def test_given_mapping_fills_missing_objects(tmp_path):

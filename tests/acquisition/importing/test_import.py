@@ -66,8 +66,12 @@ def refusal(
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
     error = caught.value
-    says = error.expected or error.text or error.advice
-    return error.place.replace(f"{folder}/", ""), error.key, error.value, says
+    return (
+        error.place.replace(f"{folder}/", ""),
+        error.key,
+        error.value,
+        error.expected or error.text or error.advice,
+    )
 
 
 def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
@@ -88,8 +92,10 @@ def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
     assert recording.attachments["robot.toml"] == ROBOT.encode()
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
     result = run(tmp_path, robot_from_files({"robot.toml": text.encode()}, "two"), MAP, table)
-    told = "the effort of joint second reaches 20 N m, above its limit of 16 N m: check gain"
-    assert result.warnings == (f"{told}, ratio and unit",)
+    assert result.warnings == (
+        "the effort of joint second reaches 20 N m, above its limit of 16 N m: check gain, ratio "
+        "and unit",
+    )
 
 
 def test_joint_side_is_unchanged(tmp_path, two, table):
