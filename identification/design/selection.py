@@ -2,8 +2,8 @@
 pair, or over recordings.
 
 Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well
-as the best, as identification/results.md says. The score of a part is the sum of squared residuals
-of its weighted rows, each divided by its joint's s_j of the fit with the usual terms.
+as the best (identification/docs/howto/friction.md). The score of a part is the sum of squared
+residuals of its weighted rows, each divided by its joint's s_j of the fit with the usual terms.
 """
 
 from collections.abc import Callable, Collection, Sequence

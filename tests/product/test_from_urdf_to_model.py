@@ -25,8 +25,8 @@ def test_six_commands_export_true_models(tmp_path, monkeypatch, capsys):
     """
     shutil.copy(packaged_urdf("ur5_robot.urdf"), tmp_path)
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "identification" / "README.md").read_text()
-    section = text.split("\n## Your arm in MuJoCo in six commands\n")[1].split("\n## ")[0]
+    text = (ROOT / "identification" / "docs" / "howto" / "export.md").read_text()
+    section = text.split("\n## Steps\n")[1].split("\n## ")[0]
     commands = re.findall(r"^ {4}(.*)$", section, flags=re.MULTILINE)
     assert len(commands) == 6
     programs = {program.name: program for program in (ACQUIRE, IDENTIFY)}

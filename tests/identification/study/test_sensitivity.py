@@ -50,16 +50,11 @@ def test_real_noise_moves_ls_not_iv(emps, capsys):
     assert {fit.ended for fit in fits} == {"converged"}
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
-    section = (
-        (ROOT / "identification" / "results.md")
-        .read_text()
-        .split("      emps.mcap: LS moves")[1]
-        .split("\n\n")[0]
-    )
-    shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
-    assert len(shown) == 13
-    missing = [line for line in shown if line not in printed]
-    assert missing == [], "the page of the method shows the real record"
+    page = (ROOT / "identification" / "docs" / "howto" / "excitation.md").read_text()
+    block = page.split("\n    emps.mcap:")[1].split("\n\n")[0]
+    shown = [line.split() for line in f"emps.mcap:{block}".splitlines()]
+    assert len(shown) == 5
+    assert [line for line in shown if line not in printed] == [], "the page shows the real record"
 
 
 def test_each_variant_changes_one_thing():
