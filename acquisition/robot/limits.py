@@ -117,8 +117,7 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
     limits = effort_limits(robot)
     peaks = [float(np.abs(effort @ row).max(initial=0.0)) for row in limits.directions]
     return tuple(
-        f"the effort of {name} reaches {peak:.4g} {unit}, above its limit of {most:.4g} {unit}: "
-        "check gain, ratio and unit"
+        f"the effort of {name} reaches {peak:.4g} {unit}, above its limit of {most:.4g} {unit}"
         for name, peak, most, unit in zip(
             limits.names, peaks, limits.limits, limits.units, strict=True
         )

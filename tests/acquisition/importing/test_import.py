@@ -93,8 +93,7 @@ def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
     result = run(tmp_path, robot_from_files({"robot.toml": text.encode()}, "two"), MAP, table)
     assert result.warnings == (
-        "the effort of joint second reaches 20 N m, above its limit of 16 N m: check gain, ratio "
-        "and unit",
+        "the effort of joint second reaches 20 N m, above its limit of 16 N m",
     )
 
 
