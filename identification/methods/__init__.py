@@ -1,11 +1,12 @@
 """The method: least squares and instrumental variables, from recordings to a solution.
 
-    Model, Unknowns, Equation    the recordings of a fit, x of all of them, and the terms of each
-    Rows                         [Z J r] about x, of equation (C)
-    Simulated, Pass              Z of the simulated robot, and the estimate of one iteration
-    Solution                     the estimate, and the inputs of its tests
+    Model, Unknowns, Equation    recordings of a fit, their unknowns x, the terms of each recording
+    Rows                         [C Z J r], linearised at x, equation (C)
+    Simulated, Pass              motion of the simulated robot; estimate of one iteration
+    Solution                     estimate, and the inputs of its tests
 
-`idim.solve` has all of it on one screen. It may use `trust` and the rooms below.
+`idim.solve` shows the whole method on one screen. This subpackage may import `trust` and the
+subpackages below.
 """
 
 from .idim import solve

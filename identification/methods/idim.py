@@ -31,7 +31,7 @@ def solve(
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
 ) -> Solution:
-    """Solve for base parameters beta (b,) from measured torque and position.
+    """Solve for the base parameters beta (b,) from measured torque and position.
 
         tau = IDM(q, dq, ddq) beta                                                       (2)
         Y = W beta + rho,     Y = F[w Y_fm],     W = F[w W_fm]                           (6)
@@ -40,28 +40,30 @@ def solve(
 
     Parameters
     ----------
-    signals : the recording, or several of one robot; each is filtered and decimated separately.
+    signals : the recording, or several recordings of one robot; each is filtered and decimated
+        separately.
     overrides : settings that replace those of the description; `Overrides()` for none.
     method : `iv`, instrumental variables; `wls`, least squares with rows weighted by joint; `ols`,
-        without weights. Default: `iv` if every recording has its reference, else `wls`.
-    iteration : of `iv`: start of the iterations, and when they end.
-    essential : fit only the essential parameters.
+        least squares without weights. Default: `iv` if every recording has its reference, else
+        `wls`.
+    iteration : start and end of the iterations of `iv`.
+    essential : True to fit only the essential parameters.
     say : called with a line of text for each step.
 
     Returns
     -------
-    The solution, with the inputs of its tests. The status of least squares is `solved`; that of
-    `iv` is `converged` only if two iterations agree and the robot simulated with the estimate
-    follows the recording, or if instruments of the reference alone suffice.
+    The solution, with the inputs of its tests. The status of least squares is `solved`. The status
+    of `iv` is `converged` only if two iterations agree and the robot simulated with the estimate
+    follows the recording, or if the instruments from the reference suffice alone.
 
     Raises
     ------
-    NoFitError : a recording is too short, the recordings excite too little, or the first
-        iteration gives no estimate.
-    BadInputError : the recordings are not of one robot, or an `iteration` is
-        given to least squares.
+    NoFitError : a recording is too short, the recordings excite too little, or the first iteration
+        gives no estimate.
+    BadInputError : the recordings are not of one robot, or an `iteration` is given for least
+        squares.
     """
-    # (1), (2), (H), (I): tau = IDM(q, dq, ddq) beta; the terms, and the unknowns x
+    # Equations (1), (2), (H), (I): tau = IDM(q, dq, ddq) beta, its terms and the unknowns x.
     model, by, reason = _read(signals, overrides, method, iteration, say)
     model, found = least_squares(*with_best_ramps(model, instruments=by == "iv"), by)  # (B)
     if by == "iv" and _can_be_simulated(model, found):
@@ -69,7 +71,8 @@ def solve(
             loop = Loop(
                 model, at_gains(model, found), iteration or Iteration(), essential=essential
             )
-            del found  # its rows are as many as those of a pass
+            # Its rows take as much memory as those of an iteration.
+            del found
             solution = _by_instruments(loop, say)
         except NoFitError as error:
             if method is None and not overrides.gains:
@@ -87,9 +90,9 @@ def _read(
     iteration: Iteration | None,
     say: ProgressCallback,
 ) -> tuple[Model, Method, str]:
-    """Return the model, the method and its reason.
+    """Return the model, the method, and the reason for this method.
 
-    With drive gains the method is always instruments, by default where every recording has its
+    Drive gains always need instruments. Else the default is instruments if every recording has its
     reference.
     """
     if overrides.gains and method not in (None, "iv"):
@@ -105,7 +108,8 @@ def _read(
     by = "iv" if overrides.gains else by
     least = model.problems[0].settings.low_speed
     low = least.iv if by == "iv" else least.ls
-    # not every recording has its reference
+    # Recordings with and without a reference are read with different limits of low speed, but one
+    # method needs one limit.
     if any(problem.settings.low_speed_percent != low for problem in model.problems):
         model = read_model(signals, replace(overrides, method=by), say)
     if iteration is not None and by != "iv":
@@ -119,9 +123,7 @@ def _read(
 
 
 def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
-    """Return the default method and its reason: instruments if every recording has its
-    reference.
-    """
+    """Return the default method and its reason."""
     if model.exogenous:
         return "iv", "reference recorded"
     without = [problem.signals for problem in model.problems if problem.signals.q_ref is None]
@@ -131,10 +133,10 @@ def _default_method(model: Model) -> tuple[Literal["iv", "wls"], str]:
 
 
 def _can_be_simulated(model: Model, found: Pass) -> bool:
-    """Test whether a robot can be simulated.
+    """Test whether the robot can be simulated.
 
-    It always can with given drive gains; with those of a solution only if they are positive, and
-    references recorded.
+    With given drive gains it always can. Estimated drive gains must be positive and converged, and
+    all references must be recorded.
     """
     gains = model.x_of(found.estimate, found.x)[model.unknowns.gains]
     return not model.unknowns.motors or (
@@ -143,13 +145,14 @@ def _can_be_simulated(model: Model, found: Pass) -> bool:
 
 
 def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential: bool) -> Solution:
-    """Solve by IDIM-LS: W and Y are from the measured torque and the filtered position.
+    """Solve by IDIM-LS: W and Y follow from the measured torque and the filtered position.
 
-    Instruments of drive gains have the torque that x predicts.
+    Only the instruments of drive gains differ: they are the torques that x predicts, equation (I).
     """
     x, gains = model.x_of(found.estimate, found.x), model.unknowns.motors
     rows = model.rows(x, model.candidates(x, (found.kept.speed, found.kept.most)))
-    estimate = step_of(model, rows, method)  # of these very rows
+    # The tests need the estimate of exactly these rows, not of those one step before.
+    estimate = step_of(model, rows, method)
     found = replace(
         found, x=x, rows=rows, estimate=estimate, intervals=intervals_of(rows.system, estimate)
     )
@@ -158,14 +161,14 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
     inputs = inputs_of(model, method, solved, x, full.estimate, kept)
     if gains:
-        text = "drive gains by the measured motion: no robot is simulated " + (
-            "with these" if model.exogenous else "without a recorded reference"
+        text = "drive gains from the measured motion: the robot cannot be simulated " + (
+            "with them" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
         line = {"fixed point": FIXED_POINT.judge(ending, why=text)}
     else:
         alone = model.unknowns.plain and not len(model.load)
-        # Once, of the first recording: it looks at the beginning of a long one anyway.
+        # The first recording is enough, as the test uses only the first minutes of a long one.
         first = inputs.problem.with_samples()
         line = {"position noise": position_noise_line(first, method, ls, kept, alone=alone)}
     inputs = replace(inputs, made={**inputs.made, **line})
@@ -173,13 +176,14 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
 
 
 def _by_instruments(loop: Loop, say: ProgressCallback) -> Solution:
-    """Solve by IDIM-IV: the instruments Z are the columns of x along the motion of the simulated
-    robot.
+    """Solve by IDIM-IV, with instruments Z along the motion of the simulated robot.
 
-    W and Y are those of IDIM-LS. Each iteration simulates the closed loop with beta_k (same
-    reference, same controller, gains updated by beta_k), evaluates Z = IDM of the simulated q, dq,
-    ddq, decimated as W, estimates the delay L of the torque by the same instruments, and solves for
-    beta_k+1.
+        Z = F[w IDM(q_s, dq_s, ddq_s)],     beta_k+1 = (Z'W)⁻¹ Z'Y                       (D)
+
+    W and Y are those of IDIM-LS. Each iteration simulates the closed loop with beta_k, under the
+    recorded reference and the control law, with controller gains by equation (E). It evaluates and
+    decimates Z as W, estimates the delay of the torque with the same instruments, equation (G), and
+    solves for beta_k+1.
     """
     model, passes, failure = loop.model, [loop.start], None
     while not passes[-1].is_last and len(passes) <= loop.most:

@@ -1,5 +1,5 @@
-"""The passes of the instrumental variable method: what is simulated first and next, one iteration,
-and which pass is returned.
+"""The iterations of the instrumental variable method: the values simulated first and next, one
+iteration, and the choice of the iteration that is returned.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,25 +26,25 @@ from .model import Asked, Model
 from .passes import Pass, join_reasons
 from .start import solution_of
 
-# samples; the column of the lag is of first order, not exact for many
+# Samples: equation (G) is of first order, so a larger last change of the delay is not exact.
 MAX_LAST_LAG = 0.25
-# passes; later ones take the mean of the last two values and lags, which damps oscillation
+# From this iteration on, values and delays are the mean of the last two, which damps oscillation.
 MAX_FULL_STEPS = 4
-MIN_F = 1.0  # of the first stage: with less, instruments explain nothing of W
+MIN_F = 1.0  # first-stage F: instruments below it do not explain W
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """Settings of the iteration.
+    """Settings of the iterations.
 
     Attributes:
-        start: `regular` (unit inertias, a regular inertia matrix only), `ls`, or the name of the
-            source
-            of the base parameters `values`.
-        tolerance_percent, max_iterations: in place of the keys of robot.toml.
-        values: (b,) base parameters to start from.
-        inertias: (n,) inertias of the regular start, 1 kg m² (or kg) by default.
-        gain_update: True to adapt controller gains to each estimate, equation (E).
+        start: `ls`; `regular` (unit inertias, which give a regular inertia matrix); or the name of
+            the source of `values`.
+        tolerance_percent: largest change that counts as converged; None for the key of robot.toml.
+        max_iterations: limit of the number of iterations; None for the key of robot.toml.
+        values: function that returns the base parameters (b,) to start from.
+        inertias: (n,) inertias of a regular start, kg m² or kg; None for ones.
+        gain_update: True to adapt the controller gains to each estimate, equation (E).
     """
 
     start: str = "ls"
@@ -62,25 +62,24 @@ class Iteration:
 
 
 class Loop:
-    """The prepared iterations of a fit, which start at a solution by least squares.
+    """The prepared iterations of a fit, which start from a solution by least squares.
 
     Attributes:
         model: recordings and unknowns.
-        start: least squares, whose weights are used.
-        x: (p,) its values.
-        ls: the same, or that of the essential parameters if only these are estimated.
-        essential: their test.
+        start: least squares, whose weights all iterations use.
+        x: (p,) values of least squares.
+        ls: least squares of the fitted parameters: `start`, or only the essential ones.
+        essential: test that finds the essential parameters.
         iteration: settings of the iterations.
-        robots: prepared for simulations.
-        measured: speed, and largest torques, of all recordings.
-        fitted: places of the unknowns that are estimated.
-        most, tolerance_percent: limits of the iterations.
+        robots: recordings prepared for simulations.
+        measured: speeds and largest torques of all recordings.
+        fitted: places of the estimated unknowns in x.
+        most: limit of the number of iterations.
+        tolerance_percent: largest change that counts as converged.
     """
 
     def __init__(self, model: Model, start: Pass, iteration: Iteration, *, essential: bool) -> None:
-        """Prepare the iterations from least squares; `essential`: only such parameters are
-        estimated.
-        """
+        """Prepare the iterations; `essential` restricts them to the essential parameters."""
         self.model, self.iteration = model, iteration
         self.measured = start.kept.speed, start.kept.most
         start, ls, self.essential = solution_of(model, start, essential=essential)
@@ -98,7 +97,7 @@ class Loop:
 
             x + (Z'J)⁻¹ Z'r(x),     of linear terms beta = (Z'W)⁻¹ Z'Y                   (C), (D)
 
-        Rows have the weights of least squares. Raises `NoFitError` as `instrumental_variables`.
+        The rows have the weights of least squares. Raises `NoFitError` as `instrumental_variables`.
         """
         system = rows.system.with_columns(self.fitted)
         Z = rows.Z if len(self.fitted) == len(self.model.names) else rows.Z[:, self.fitted]
@@ -108,30 +107,30 @@ class Loop:
 
     @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
     def next_pass(self, before: Sequence[Pass], x: Array, asked: Asked | None) -> Pass:
-        """Make one iteration: simulate, find the delay, estimate, and compare with the values
-        before.
+        """Make one iteration: simulate, find the delay, estimate, and compare with the last values.
 
             Z = F[w IDM(q_s, dq_s, ddq_s)],     x_k+1 = x_k + (Z'J)⁻¹ Z'r(x_k)           (D), (C)
 
         Parameters
         ----------
-        before : the iterations before, from least squares on.
-        x : (p,) values x_k, about which the rows are.
-        asked : values (p,) to simulate and their covariance (f, f), None for exactly these values;
-            None in place of both: the motion that the reference predicts.
+        before : the iterations so far, beginning with least squares.
+        x : (p,) values x_k at which the rows are linearised.
+        asked : values (p,) to simulate and their covariance (f, f), or None to simulate exactly
+            these values. None in place of both for the motion that the reference predicts.
 
         Returns
         -------
-        The pass. It has converged if the residual norm changes by at most the tolerance, and each
-        parameter by at most the tolerance or half its standard error.
+        The iteration. It has converged if the residual norm changes by at most the tolerance, and
+        each parameter by at most the tolerance or half its standard error.
 
         Raises
         ------
-        NoFitError : these instruments give no estimate, and why they are not of the robot asked.
+        NoFitError : these instruments give no estimate; the text says why they are not those of the
+            requested robot.
         """
         number, other = len(before), asked is not None and asked[0] is not x
         of_lag = self.model.exogenous and not other
-        # The first pass is not the last one where a lag is looked for, and needs no tests.
+        # While a delay is estimated the first iteration is never the last, so it needs no tests.
         tests = not of_lag or number > 1 or all(lag.stated for lag in before[-1].lags)
         z, rows = self.model.with_instruments(  # q_s, dq_s, ddq_s, with (E), and (6)
             self.robots, x, asked, self.measured if tests else None, of_lag=of_lag
@@ -142,8 +141,9 @@ class Loop:
         except NoFitError as error:
             reason = join_reasons([(one.recording, one.reason) for one in z])
             raise NoFitError("; ".join(filter(None, [str(error), reason]))) from error
-        # Compared with the values asked for, not with the consistent ones simulated instead.
-        # Parameters near zero never settle in percent: half a deviation is enough.
+        # Compare with the requested values, not with the physically consistent ones simulated in
+        # their place. A parameter near zero never converges in percent, so half a standard error is
+        # enough.
         tolerance, system = 0.01 * self.tolerance_percent, rows.system
         change, w = np.abs(estimate.beta - x[self.fitted]), estimate.weights[system.joint_of_row]
         norm_before = float(np.linalg.norm(w * (system.Y - system.W @ x[: len(system.names)])))
@@ -172,8 +172,9 @@ class Loop:
         )
 
     def covariance(self, one: Pass) -> Array:
-        """Return C = D R D (f, f) of an iteration; parameters that it did not estimate have that of
-        least squares.
+        """Return C = D R D (f, f) of an iteration.
+
+        The parameters that it did not estimate have the covariance of least squares.
         """
         return covariance_of_all(self.model.names, one.estimate, one.intervals, self.start.estimate)
 
@@ -181,8 +182,8 @@ class Loop:
 def start_values(loop: Loop) -> Asked:
     """Return the values (p,) that are simulated first, and their covariance (f, f).
 
-    They are x of least squares; or a regular start (covariance None) or given values, which do not
-    give the torques by which a delay is found.
+    They are x of least squares, or given values, or a regular start, whose covariance is None.
+    Given values and a regular start do not predict the torque well enough to find a delay with it.
     """
     problem, how, repeated = loop.model.problem, loop.iteration, loop.model.unknowns.repeated
     if how.start == "regular":
@@ -192,10 +193,10 @@ def start_values(loop: Loop) -> Asked:
 
 
 def next_values(loop: Loop, passes: Sequence[Pass]) -> tuple[Array, Asked]:
-    """Return x (p,) about which the rows of the iteration after these are, and what is asked of it.
+    """Return x (p,) for the rows of the next iteration, and the values that it simulates.
 
-    Both are the estimate x_k+1, or from the fourth iteration on its mean with x_k, which damps
-    oscillation; after least squares what is asked is the start.
+    Both are the estimate x_k+1; from the fourth iteration on, its mean with x_k, which damps
+    oscillation. After least squares the start is simulated.
     """
     last = passes[-1]
     if last.number == 0:
@@ -208,22 +209,22 @@ def next_values(loop: Loop, passes: Sequence[Pass]) -> tuple[Array, Asked]:
 def with_lags_found(
     rows: Rows, lags: Sequence[Lag], number: int
 ) -> tuple[Rows, tuple[Lag, ...], bool]:
-    """Find the delay L of each group of recordings from the rows of the delay and what is known.
+    """Find the delay L of each group of recordings from the rows of the delay and prior knowledge.
 
         tau(t - L) = tau(t) - L dtau/dt                                                  (G)
 
     Parameters
     ----------
-    rows : [C Z J r] about the last delays, with rows of the delay; unchanged where it has none.
-    lags : as found so far, with what is known of each.
-    number : of the iteration. In the first one rows of the delay are whitened by the residuals of
-        least squares, which have the delay in them, so its delays have not settled unless given.
-        From the fourth iteration on a delay takes half its step, as values do.
+    rows : [C Z J r] about the last delays, with rows of the delay. Without these, nothing changes.
+    lags : delays so far, with the prior knowledge of each.
+    number : of the iteration. The first one whitens the rows of the delay by the residuals of least
+        squares, which contain the delay; its delays have therefore not converged unless they are
+        given. From the fourth iteration on a delay takes half its step, as values do.
 
     Returns
     -------
-    The rows about the new lags, to first order; these delays, s; and whether they have settled: the
-    whole step of each is less than a quarter of a sample.
+    The rows about the new delays, to first order; these delays, s; and True if they have converged:
+    the whole step of each is less than a quarter of a sample.
     """
     if rows.late is None:
         return rows, tuple(lags), True
@@ -238,22 +239,24 @@ def with_lags_found(
 
 
 def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated, ...]]:
-    """Choose the iteration that is returned: the last one if it converged, else the one whose
-    estimate, simulated in the next iteration, tracks best at its worst joint.
+    """Choose the iteration that is returned.
+
+    It is the last one if that converged. Else it is the iteration whose simulated estimate tracks
+    best, by its worst joint.
 
     Parameters
     ----------
-    loop : recordings, prepared robots, weights.
-    passes : in order, from least squares on; all but the last without rows.
+    loop : the prepared iterations.
+    passes : iterations in order, beginning with least squares; all but the last without rows.
 
     Returns
     -------
-    That pass with its rows, about the last delays; and by recording the robot simulated with its
-    estimate, or with the values that it converged at.
+    The chosen iteration with its rows, about the last delays; and by recording the robot simulated
+    with its estimate, or with the values at which it converged.
 
     Raises
     ------
-    NoFitError : as `Loop.step`, where rows are computed again.
+    NoFitError : the rows are computed again and give no estimate, as in `Loop.step`.
     """
     last, model = passes[-1], loop.model
     if last.is_last:
@@ -276,19 +279,19 @@ def conclude(loop: Loop, passes: Sequence[Pass]) -> tuple[Pass, tuple[Simulated,
 
 
 def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pass | None:
-    """Make a iteration along the motion that the reference predicts, without a simulated robot, in
-    place of the `best` of those that `ended`.
+    """Return an iteration with instruments from the reference, or None if they do not suffice.
 
-    Returns None unless all references are recorded, no control law is described, the simulated
-    robot confirms no other iteration, and these instruments suffice alone.
+    They take the place of the `best` simulated ones if those ended without confirmation, all
+    references are recorded and no control law is given. `ended` is the status and its reason.
     """
     (status, why), described = ended, any(one.controller == "described" for one in best.z)
     if status == "converged" or described or not loop.model.exogenous:
         return None
-    why = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    why = f"with a simulated robot, whose control law is not given, {status}: {why}"
     passes = [loop.start]
     with suppress(NoFitError):
-        for _ in range(2):  # residuals of least squares have the lag in them
+        # The first iteration finds the delay with residuals that contain it, so a second is needed.
+        for _ in range(2):
             passes.append(loop.next_pass(passes, next_values(loop, passes)[0], None))
         last = replace(passes[-1], by_reference=why)
         return last if tests_of(last)[1] >= MIN_F else None
@@ -296,8 +299,9 @@ def by_reference(loop: Loop, best: Pass, ended: tuple[Status, str | None]) -> Pa
 
 
 def _tracking(z: Sequence[Simulated]) -> float:
-    """Return the position error of the worst joint, percent; infinite if the estimate itself was
-    not simulated.
+    """Return the position error of the worst joint, percent.
+
+    It is infinite if the estimate itself was not simulated.
     """
     if any(one.kind != "simulated" for one in z):
         return np.inf
@@ -305,7 +309,7 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
 
 def tests_of(one: Pass) -> tuple[float, float]:
-    """Return strength and first-stage F of the instruments of a iteration."""
+    """Return strength and first-stage F of the instruments of an iteration."""
     system, estimate = one.kept.system, one.estimate
     places = [system.names.index(name) for name in estimate.names]
     W, _ = system.with_columns(np.array(places)).weighted(estimate.weights)
@@ -313,11 +317,14 @@ def tests_of(one: Pass) -> tuple[float, float]:
 
 
 def inertia_prior(model: Model, x: Array) -> Array:
-    """Return x (p,) for whose inertias the controller gains are assumed to be set, the a priori
-    inertias of equation (E): least squares after a low-pass, that of errors if the fit has none,
-    as the inertias are poorly determined without.
+    """Return x (p,) whose inertias are the a priori inertias of equation (E).
+
+    The controller gains are assumed to be set for them. They are from least squares behind a
+    low-pass, because inertias are poorly determined without one; if the fit has none, the low-pass
+    of torque errors serves.
     """
-    with suppress(NoFitError):  # too few rows behind it
+    # The low-pass of errors may leave too few rows: then x itself has to do.
+    with suppress(NoFitError):
         if not all(problem.settings.filtered for problem in model.problems):
             rows = (behind := model.for_errors).rows(x).of(behind.unknowns.arm)
             return behind.x_of(behind.combined(rows, weighted_least_squares(rows)), x)
@@ -328,11 +335,12 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
     """Return base parameters beta = K chi (b,) of a robot with only an inertia of each motor.
 
     With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the
-    TX40. A joint without Ia has a link with that inertia about every axis, or that mass.
+    TX40. A joint without Ia gets a link with that inertia about every axis, or with that mass.
 
     Parameters
     ----------
-    model : the robot with its p standard parameters; `base` regroups them.
+    model : the robot with its p standard parameters.
+    base : base parameters, which regroup them.
     J : (n,) inertias of the motors at their joints, kg m² or kg; ones by default.
     """
     robot, R, chi = model.robot, np.abs(model.robot.R) > 0, dict[str, float]()

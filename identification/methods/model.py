@@ -1,7 +1,7 @@
 """The model of a fit: its recordings, each with its equation of motion, and their unknowns x.
 
-What is read of each is a task: its settings and its control law, at a rate of rows that is common
-to all.
+Reading a recording is a task of its own: its settings and its control law, at a rate of rows that
+is common to all recordings.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,31 +34,32 @@ from ..regression import (
 from ..simulation import Simulated, SimulatedRecording, simulate
 from ..trust import Candidates
 
-# numbers of the positions of several recordings that are held: 64 MB, a few times as much in all
+# Numbers of positions that several recordings may hold in memory: 64 MB, and a few times as much
+# with all other signals.
 MAX_HELD = 8_000_000
 
 ProgressCallback = Callable[[str], None]
-# by recording, what prepares it at a rate per period of the bandwidth
+# Functions that prepare each recording, at a rate per period of the bandwidth.
 Robots = Sequence[Callable[[float], SimulatedRecording]]
-# values of x (p,) to simulate, and their covariance (f, f), None for a regular start
+# Values of x (p,) to simulate, and their covariance (f, f), which is None for a regular start.
 Asked = tuple[Array, Array | None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
-    """The recordings of a fit in the order of their digests, so that sums do not depend on the
-    given order.
+    """The recordings of a fit, with their unknowns; read-only.
 
-    It is read-only.
+    They are in the order of their digests, so that sums do not depend on the given order.
 
     Attributes:
-        problems: the recordings with their settings, from `overrides`.
-        laws: the control law that each shows.
-        work: where their tasks run.
-        order: places of the recordings in the order given.
-        unknowns: x.
-        lags: delay of each group of recordings as known without a fit.
-        left_out: friction terms left out, each with the reason.
+        problems: recordings with their settings.
+        laws: control law estimated from each recording.
+        overrides: settings that replace those of the description.
+        work: workers of the tasks.
+        order: places of the recordings in the given order.
+        unknowns: names and places of x.
+        lags: delay of each group of recordings, by prior knowledge.
+        left_out: friction terms that are left out, each with the reason.
     """
 
     problems: tuple[Problem, ...]
@@ -72,9 +73,7 @@ class Model:
 
     @property
     def problem(self) -> Problem:
-        """Problem of the recording given first; all have the same robot, model and base
-        parameters.
-        """
+        """Recording given first; all have the same robot, model and base parameters."""
         return self.problems[self.order[0]]
 
     @property
@@ -84,7 +83,7 @@ class Model:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the free unknowns, the first of x."""
+        """Names of the free unknowns, which come first in x."""
         return self.unknowns.names
 
     @cached_property
@@ -104,19 +103,17 @@ class Model:
 
     @property
     def exogenous(self) -> bool:
-        """True if all references are recorded: otherwise instruments contain the noise of
-        positions.
-        """
+        """True if all references are recorded; else instruments contain the noise of positions."""
         return all(problem.signals.q_ref is not None for problem in self.problems)
 
     def start(self) -> Array:
-        """Return x (p,) with only given drive gains and known delays."""
+        """Return x (p,) of given drive gains and delays; all other values are zero."""
         return self.unknowns.start([lag.value_s for lag in self.lags])
 
     def x_of(self, estimate: Estimate, x: Array) -> Array:
-        """Return x with the values of an estimate.
+        """Return x (p,) with the values of an estimate.
 
-        Free unknowns that the estimate lacks are zero; gains stay.
+        Free unknowns that it lacks are set to zero, drive gains stay.
         """
         found = x.copy()
         found[: len(self.names) - len(self.unknowns.motors)] = 0.0
@@ -124,7 +121,7 @@ class Model:
         return found
 
     def concluded(self, x: Array) -> tuple[Problem, ...]:
-        """Return the problems with the delays and gains of x."""
+        """Return the problems with the delays and drive gains of x (p,)."""
         kappa = self.equations[0].drives.factors(x) if self.unknowns.motors else None
         return tuple(
             replace(problem, settings=replace(problem.settings, lag=lag), gains=kappa)
@@ -134,17 +131,20 @@ class Model:
         )
 
     def run(self, task: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
-        """Return the results of a task for each recording, of several on the workers of the fit."""
+        """Run a task for each recording, several on the workers of the fit; return the results."""
         tasks = [(one, *given) for one, given in zip(self.equations, each, strict=True)]
         return _run(self.work, task, tasks)
 
     def candidates(
         self, x: Array, measured: tuple[Array, Array], *, simulated: bool = False
     ) -> tuple[Candidates, ...]:
-        """Return by recording the terms that are not in the model, about x.
+        """Return by recording the terms that are not in the model, linearised at x (p,).
 
-        They are along the measured or the simulated motion, by what is `measured` of all: speed
-        (rows, n), `most` of `Rows`.
+        Parameters
+        ----------
+        x : (p,) values.
+        measured : speed and `most`, (rows, n) each, of the measured `Rows` of all recordings.
+        simulated : True along a simulated motion, False along the measured one.
         """
         speed, most = measured
         sliding = np.abs(speed @ self.problem.model.coulomb_directions.T)
@@ -164,7 +164,7 @@ class Model:
         )
 
     def rows(self, x: Array, further: Sequence[Candidate] = ()) -> Rows:
-        """Return [C Z J r] of all recordings about x, along the measured motion."""
+        """Return [C Z J r] of all recordings about x (p,), along the measured motion."""
         return stacked_rows(
             self.run(
                 rows_of_recording,
@@ -185,13 +185,21 @@ class Model:
         by_recording: bool = False,
         judged: bool = False,
     ) -> tuple[Array, Array, Bools, list[Array], list[Ints]]:
-        """Return the decimated torque (rows, n) as measured by x, and as predicted by each set of
-        estimates.
+        """Return the decimated torque as measured by x, and as predicted by sets of estimates.
 
-        The prediction is (K, rows, n). Also return a mask of the rows (rows, n) that count, by
-        recording their instants, s, and the row of the fit at or after each. The prediction is by x
-        if there is no set; by several estimates of a set, each in equal parts of a recording, or in
-        one recording. Those that are `judged` have the filters of torque errors.
+        Parameters
+        ----------
+        x : (p,) values, whose delays and drive gains make the measured torque.
+        sets : each of one estimate; or of several, which predict equal parts of each recording in
+            turn. Without any the prediction is by x.
+        by_recording : True if the estimates of a set predict one recording each.
+        judged : True for the filters of torque errors.
+
+        Returns
+        -------
+        The measured torque (rows, n); the prediction (K, rows, n) by K sets, N m or N; a mask
+        (rows, n) of the rows that count; by recording their instants, s, and the row of the fit at
+        or after each.
         """
         values = [[self.x_of(one, x) for one in estimates] for estimates in sets]
         each = [
@@ -216,17 +224,18 @@ class Model:
         )
 
     def predicted(self, x: Array, *estimate: Estimate) -> Array:
-        """Return the torque (rows, n) that x, or an estimate, predicts."""
+        """Return the torque (rows, n) that x, or an estimate, predicts, N m or N."""
         return np.asarray(self.torques(x, *([one] for one in estimate))[1][0])
 
     @cached_property
     def for_errors(self) -> "Model":
-        """The same with the filters of torque errors."""
+        """Copy with the filters of torque errors."""
         return replace(self, problems=tuple(one.for_errors for one in self.problems))
 
     def robots(self, x: Array, *, gain_update: bool = True) -> Robots:
-        """Prepare each recording for simulations; the loops have the gains of x, and are set for
-        its inertias.
+        """Prepare each recording for simulations, with the drive gains of x (p,).
+
+        The controller gains are assumed to be set for the inertias of x, equation (E).
         """
         each = [
             partial(
@@ -238,7 +247,7 @@ class Model:
             )
             for one, law in zip(self.equations, self.laws, strict=True)
         ]
-        # Once in this process, if samples are held; else each task prepares its own.
+        # Prepare each robot once if the tasks run in this process, which holds the samples.
         here = 1 in (self.work.workers, len(self.problems))
         held = here and all(len(one.signals.q) for one in self.problems)
         return [*map(cache, each)] if held else each
@@ -252,11 +261,17 @@ class Model:
         *,
         of_lag: bool = False,
     ) -> tuple[tuple[Simulated, ...], Rows]:
-        """Return [C Z J r] of all recordings about x, and by recording along whose motion.
+        """Return the simulated robots, by recording, and [C Z J r] of all recordings.
 
-        The motion is that of the robot simulated with what is `asked`; if nothing is, that which
-        the reference predicts. With what is `measured` of all, as in `candidates`, there are the
-        columns of terms that are not in the model; `of_lag`: with rows of the delay, equation (G).
+        Parameters
+        ----------
+        robots : recordings prepared for simulations.
+        x : (p,) values at which the rows are linearised.
+        asked : values to simulate and their covariance; None for the motion that the reference
+            predicts.
+        measured : as in `candidates`, for the columns of terms that are not in the model; None for
+            none.
+        of_lag : True for rows of the delay, equation (G).
         """
         none = [None] * len(robots)
         own = self.unknowns.simulated(*asked) if asked else none
@@ -269,9 +284,9 @@ class Model:
         return z, stacked_rows(each)
 
     def without(self, left_out: dict[str, str]) -> "Model":
-        """Return a copy without the given friction terms, which are regrouped with nothing.
+        """Return a copy without the given friction terms.
 
-        `left_out` maps each removed term to the reason.
+        They must not belong to a regrouped parameter. `left_out` maps each to the reason.
         """
         if not left_out:
             return self
@@ -285,7 +300,7 @@ class Model:
         return replace(found, left_out=self.left_out | left_out)
 
     def with_ramps(self, ramp_rows: float) -> "Model":
-        """Return the same recordings with another weight taper."""
+        """Return a copy with another weight taper, in rows."""
         return replace(
             self,
             overrides=replace(self.overrides, ramp_rows=ramp_rows),
@@ -332,8 +347,9 @@ def model_of(
 def observe(
     source: Signals | RecordingFile, overrides: Overrides, most: float
 ) -> tuple[Problem, FoundLaw | None]:
-    """Read a recording, and the control law that it shows; without samples if there are more than
-    `most` numbers.
+    """Read a recording and estimate its control law.
+
+    The samples are dropped again if there are more than `most` numbers; they are read when needed.
     """
     problem = make_problem(source.load(), overrides)
     law = law_of(problem) if overrides.law is None else overrides.law
@@ -347,10 +363,9 @@ def with_common_rate(
     overrides: Overrides,
     most: float,
 ) -> tuple[list[Problem], list[FoundLaw | None]]:
-    """Return the recordings and their control laws with common cut-off, rate of rows and filters of
-    the errors.
+    """Return recordings and control laws with a common cut-off, row rate and band of errors.
 
-    Only those whose cut-off or rate changes are read again.
+    Only recordings whose cut-off or rate changes are read again.
     """
     settings = [problem.settings for problem, _ in found]
     rates = [problem.signals.sample_rate_hz for problem, _ in found]
@@ -376,7 +391,13 @@ def with_common_rate(
 def read_model(given: Signals | Recordings, overrides: Overrides, say: ProgressCallback) -> Model:
     """Read the model of one recording or several, each filtered and decimated separately.
 
-    The cut-off and the rate of rows are the lowest that the rules give.
+    The cut-off and the rate of rows are the lowest that the rules give for a recording.
+
+    Parameters
+    ----------
+    given : the recording, or several recordings of one robot.
+    overrides : settings that replace those of the description.
+    say : called with a line of text for each step.
 
     Raises
     ------

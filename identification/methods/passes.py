@@ -1,4 +1,4 @@
-"""One pass of the instrumental variable method, or least squares."""
+"""One iteration of the instrumental variable method, or least squares."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from ..simulation import InstrumentKind, Simulated
 
 
 def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
-    """Return the reasons of recordings in one line, led by their names if there are several."""
+    """Join the reasons of recordings in one line, with their names if there are several."""
     if len(reasons) == 1:
         return reasons[0][1]
     return "; ".join(f"{name}: {why}" for name, why in reasons if why is not None) or None
@@ -21,29 +21,29 @@ def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One iteration of the instrumental variable method, or least squares, from which iterations
-    start.
+    """One iteration of the instrumental variable method, or least squares, its start.
 
     Only the last one keeps arrays as large as W.
 
     Attributes:
-        x: (p,) values before it, with the estimated delays.
-        rows: about x, with the instruments.
-        z: by recording, the robot simulated for them.
-        estimate: of the free unknowns, and its `intervals`.
-        lags: estimated delays, with what is known.
-        is_consistent: True if the rows are about these delays, and about the simulated values.
+        x: (p,) values at which the rows are linearised, with the estimated delays.
+        rows: [C Z J r] about x; None if they were dropped.
+        estimate: estimate of the free unknowns.
+        intervals: 95 % intervals of the estimate.
+        parameters_settled: True if every parameter converged, that is, changed by less than the
+            tolerance.
+        lags: estimated delays, with the prior knowledge of each.
+        z: simulated robot that the instruments come from, by recording.
+        is_consistent: True if the rows have these delays, and the simulated robot these values.
         change_in_sigma: (f,) change of each parameter, in its standard errors; empty for least
             squares.
-        change_percent: the largest change, of parameters above two standard errors.
+        change_percent: largest change of the parameters greater than two standard errors.
         residual_change_percent: change of the residual norm over the same rows; None if it is
-            within
-            the tolerance.
-        parameters_settled: True if every parameter is within the tolerance.
+            within the tolerance.
         number: counted from 1; least squares is 0.
-        by_reference: why no simulated robot confirms others, so that its instruments, of kind
-            `reference`, suffice alone; None if they do not.
-        tau_predicted: (rows, n) decimated torque of the estimate; of least squares alone.
+        by_reference: why instruments from the reference replace those of a simulated robot; None if
+            they do not.
+        tau_predicted: (rows, n) decimated torque of the estimate, N m or N; only of least squares.
     """
 
     x: Array
@@ -62,7 +62,7 @@ class Pass:
     tau_predicted: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def without_rows(self) -> "Pass":
-        """Return the same without arrays as large as W."""
+        """Return a copy without arrays as large as W."""
         if self.rows is None:
             return self
         return replace(
@@ -74,49 +74,47 @@ class Pass:
 
     @property
     def kept(self) -> Rows:
-        """Rows of the last iteration or of least squares, which keep them."""
+        """Rows, which only the last iteration and least squares keep."""
         assert self.rows is not None
         return self.rows
 
     @property
     def change_sigma(self) -> float:
-        """Largest change of a parameter in its standard errors."""
+        """Largest change of a parameter, in its standard errors."""
         return float(self.change_in_sigma.max())
 
     @property
     def changed(self) -> str:
-        """Parameter that changes most, in its standard errors."""
+        """Name of the parameter that changes most, in its standard errors."""
         return self.estimate.names[int(self.change_in_sigma.argmax())]
 
     @property
     def kind(self) -> InstrumentKind:
-        """Kind of its instruments, as in `Simulated`; of several recordings the worst, which is the
-        last.
-        """
+        """Kind of the instruments, as in `Simulated`; of several recordings the least exact one."""
         return max((one.kind for one in self.z), key=get_args(InstrumentKind).index)
 
     @property
     def reason(self) -> str | None:
-        """Reason why its instruments are not those of the requested robot; None if they are."""
+        """Reason why the instruments are not those of the requested robot; None if they are."""
         return self.by_reference or join_reasons([(one.recording, one.reason) for one in self.z])
 
     @property
     def gains(self) -> Array:
-        """Gain correction factors of the controllers, n for each recording."""
+        """Gain correction factors of the controllers, equation (E): n per recording."""
         return np.concatenate([one.gains for one in self.z])
 
     @property
     def tracking_percent(self) -> float | None:
-        """Largest error of the simulated position; None if a robot was not simulated."""
+        """Largest error of the simulated position, percent; None if a robot was not simulated."""
         percents = [x for one in self.z if (x := one.percent) is not None]
         return max(percents) if len(percents) == len(self.z) else None
 
     @property
     def settled(self) -> bool:
-        """True if both tests hold."""
+        """True if both the parameters and the residual norm converged."""
         return self.residual_change_percent is None and self.parameters_settled
 
     @property
     def is_last(self) -> bool:
-        """True if it and its delays converged, at the robot that was simulated."""
+        """True if parameters, residual norm and delays converged, at the simulated robot."""
         return self.settled and self.is_consistent

@@ -1,6 +1,7 @@
-"""The solution of a method: the estimate with the inputs of its tests. With instruments also how
-the iterations ended, and whether the simulated robot confirms the estimate; of least squares the
-test for position noise, by simulation and extrapolation.
+"""The solution of a method: its estimate, and the inputs of its tests.
+
+With instruments it includes how the iterations ended, and whether the simulated robot confirms the
+estimate. For least squares it includes the test of noise bias, by simulation and extrapolation.
 """
 
 from collections.abc import Sequence
@@ -47,12 +48,12 @@ from .model import Model
 from .passes import Pass, join_reasons
 from .start import solver_of
 
-# a larger error of the simulated position does not confirm the estimate
+# A simulated position with a larger error does not confirm the estimate.
 MAX_TRACKING_PERCENT = 20.0
-CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
-BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
-MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
-# in half-widths and in percent of the value, both: of a wide interval half of it is no small error
+CORRELATIONS = np.linspace(0.0, 0.95, 39)  # AR(1) coefficients tried for the noise
+BANDS = 12  # frequency bands above the low-pass in which spectra are compared
+MAX_CUTOFF = 0.3  # share of the sample rate: above it too little of the noise is free of motion
+# Both in half-widths and in percent of the value: half of a wide interval may be a large error.
 MAX_BIAS = ((1.0, 1.0), (0.5, 5.0))
 
 
@@ -62,21 +63,19 @@ class Solution:
 
     Attributes:
         model: recordings and unknowns.
-        x: (p,) the values of the estimate.
+        x: (p,) values of the estimate.
         inputs: inputs of the tests.
-        least_squares: the fit itself or, for `iv`, weighted least squares of the same recordings
-            and
-            settings.
-        essential: the parameters that are essential by it.
-        simulated: by recording, the robot simulated with the estimate; none after least squares.
-        status: `solved` by least squares.
-        reason: reason of another status, None for `converged` with instruments of a simulated
-            robot.
-        passes: iterations of the instrumental variable method, in order, from a `start` as in
-            `Iteration`.
-        returned: the number, counted from 1, of the iteration whose estimate this is.
-        strength: of the instruments, as in `estimation.first_stage`.
-        method_reason: why this method.
+        least_squares: the fit itself, or for `iv` weighted least squares with the same recordings
+            and settings.
+        essential: test that finds the essential parameters.
+        simulated: robot simulated with the estimate, by recording; empty for least squares.
+        status: how the iterations ended; `solved` for least squares.
+        reason: reason for the status; None for `converged` with instruments of a simulated robot.
+        start: start of the iterations, as in `Iteration`.
+        passes: iterations of the instrumental variable method, in order.
+        returned: number of the iteration whose estimate is returned, counted from 1.
+        strength: strength of the instruments, as in `estimation.first_stage`.
+        method_reason: reason for the method.
     """
 
     model: Model
@@ -102,10 +101,16 @@ def inputs_of(
     full: Estimate,
     essential: FTest,
 ) -> TrustInputs:
-    """Return the inputs of the tests of a solution and its x (p,).
+    """Return the inputs of the tests of a solution.
 
-    They have the columns of candidates in its rows; `full`, `essential`: least squares of all
-    parameters, and those essential by it.
+    Parameters
+    ----------
+    model : recordings and unknowns.
+    method : how it was solved.
+    solved : the iteration or least squares, with its rows.
+    x : (p,) values of the estimate.
+    full : least squares of all parameters.
+    essential : test that finds the essential parameters.
     """
     estimate, unknowns, rows = solved.estimate, model.unknowns, solved.kept
     candidates, *_ = model.candidates(x, (rows.speed, rows.most), simulated=not rows.recorded)
@@ -134,9 +139,7 @@ def inputs_of(
 def counted_lags(
     model: Model, lags: Sequence[Lag], rows: Rows, estimate: Estimate
 ) -> tuple[Lag, ...]:
-    """Return the delays with their recordings, and the changes of an estimate by one standard error
-    of each.
-    """
+    """Return the delays with their recordings, and the change of the estimate by one sd of each."""
     moves, names = changes_of(rows.system, rows.L[:, -len(lags) :], estimate), model.recordings
     return tuple(
         replace(lag, moved=lag.sd_s * np.abs(move), recordings=tuple(names[k] for k in group))
@@ -149,7 +152,9 @@ def intervals_with_given_uncertainty(
 ) -> Intervals:
     """Return intervals that include the uncertainty of values that the estimate holds.
 
-    These are delays, given drive gains, masses, and centres of mass that are not estimated.
+    These are delays, and given drive gains, masses and centres of mass that are not estimated. A
+    held value with standard error s, or a delay with standard deviation s, adds (s d beta / d
+    value)² to the variance.
     """
     of, found = model.unknowns, intervals_of(rows.system, estimate)
     moved = [lag.moved for lag in lags]
@@ -173,8 +178,13 @@ def solution_by_instruments(
 ) -> Solution:
     """Return the solution of the iteration that is returned, with the robot that confirms it.
 
-    `ended` says how the iterations ended, from least squares on and without rows; `tests` are those
-    of its instruments.
+    Parameters
+    ----------
+    loop : the prepared iterations.
+    concluded : the iteration, and the robot simulated with its estimate, by recording.
+    passes : all iterations, beginning with least squares, without rows.
+    ended : status and reason, as of `status_of`.
+    tests : strength and first-stage F of the instruments.
     """
     (best, confirmed), model = concluded, loop.model
     x = model.x_of(best.estimate, best.x)
@@ -182,7 +192,7 @@ def solution_by_instruments(
     solved = replace(best, rows=replace(best.kept, tau=tau, late=None), tau_predicted=predicted)
     (status, reason), (strength, F) = ended, tests
     if reason is not None and best.number != passes[-1].number:
-        reason += f"; pass {best.number} is returned: it tracks best"
+        reason += f"; iteration {best.number} is returned, whose simulation tracks best"
     inputs = inputs_of(model, "iv", solved, x, loop.start.estimate, loop.essential)
     line = fixed_point_line(status, reason, gains=bool(inputs.gains))
     return Solution(
@@ -208,13 +218,13 @@ def status_of(
     first_stage_F: float,
     failure: str | None,
 ) -> tuple[Status, str | None]:
-    """Return the status of the iterations, and its reason.
+    """Return the status of the iterations and its reason.
 
-    `converged` needs converged iterations, simulated instruments that explain W, and a simulation
-    that tracks the recording; or instruments along the motion that the reference predicts which
-    suffice alone, and explain W. Other converged iterations are `not_confirmed`. Every joint has to
-    track: the mean over the robot would hide a joint of small travel. `failure`: why the iteration
-    after the last gave no estimate.
+    `converged` needs iterations that converged with simulated instruments that explain W, and a
+    simulation that tracks the recording at every joint; a mean over the joints would hide a joint
+    of small travel. Instruments from the reference need no simulation if they explain W. Other
+    converged iterations are `not_confirmed`. `failure` is the reason why the iteration after the
+    `last` gave no estimate.
     """
     best, confirmed = concluded
     if failure is not None:
@@ -230,22 +240,22 @@ def status_of(
     unconfirmed = _unconfirmed(model, best, confirmed)
     if last.is_last:
         if unconfirmed is None and last.kind != "simulated":
-            unconfirmed = f"settled without simulated instruments: {last.reason}"
+            unconfirmed = f"converged without simulated instruments: {last.reason}"
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
     if unconfirmed is not None:
         return "diverged", unconfirmed
     moving = list[str]()
     if not last.parameters_settled:
-        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} standard errors")
     if last.residual_change_percent is not None:
         percent = last.residual_change_percent
         moving.append(f"the residual norm still changes by {percent:.2g} %")
-    text = " and ".join(moving) or "only the start is known"
-    return "max_iterations", f"after {last.number} passes {text}"
+    text = " and ".join(moving) or "there is only the start"
+    return "max_iterations", f"after {last.number} iterations {text}"
 
 
 def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:
-    """Return why the simulation with the final estimate does not confirm it; None if it does."""
+    """Return why a simulation with the final estimate does not confirm it; None if it does."""
     x = model.x_of(best.estimate, best.x)
     reasons = [
         (one.problem.signals.recording, why_not_simulated(one.problem, one.arm, x))
@@ -265,8 +275,9 @@ def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> st
 
 
 def direct_errors(z: Sequence[Simulated]) -> tuple[DirectModelResidual, ...]:
-    """Return the largest errors of the simulated robot in any recording, by joint; none if one
-    could not be simulated.
+    """Return the largest errors of the simulated robot in any recording, by joint.
+
+    The result is empty if a recording could not be simulated.
     """
     return tuple(
         DirectModelResidual(
@@ -288,12 +299,14 @@ def position_noise_line(
 ) -> TrustResult | None:
     """Test for bias of least squares by position noise, in half-widths.
 
-    Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric
-    measurement error models, JASA 89 (1994). Noise with the spectrum found above the low-pass is
-    added over the whole band, with both signs; the mean of the two changes is, to first order, the
-    bias by the noise within the band.
+        bias ≈ (beta(q + e) + beta(q - e)) / 2 - beta(q)
 
-    `alone`: `ls` has only this recording, without load-dependent friction.
+    The added noise e has the spectrum found above the low-pass, over the whole band. The mean of
+    both signs cancels what is linear in e; the rest is, to first order, the bias by the noise
+    within the band. This is simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation
+    estimation in parametric measurement error models, JASA 89 (1994).
+
+    `alone` is True if `ls` has only this recording, without load-dependent friction.
     """
     settings, reason, asked = problem.settings, _reason_against(problem), ls.estimate
     if reason is not None:
@@ -341,11 +354,12 @@ def _reason_against(problem: Problem) -> str | None:
 def _noise_like(problem: Problem) -> Array:
     """Return noise (N, n) with the spectrum of the positions well above low-pass and motion.
 
-    It is white, or the AR(1) that fits it. Rounding and most encoders give white noise. Noise that
+    It is white or AR(1), whichever fits. Rounding and most encoders give white noise; noise that
     falls with frequency is larger below the low-pass than above.
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
-    q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
+    # Samples after the used ones would not change the result of a long recording.
+    q = problem.signals.q[: settings.stop + round(fs)]
     used, size = q[settings.start : settings.stop], fast_size(len(q))
     frequencies = np.fft.rfftfreq(size)
     above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
@@ -354,11 +368,12 @@ def _noise_like(problem: Problem) -> Array:
     cosine = np.cos(2 * np.pi * frequencies)
     seen = np.flatnonzero(frequencies > max(1.5 * (settings.cutoff_hz or 0.0) / fs, 1 / 8))
     bands = [band for band in np.array_split(seen, BANDS) if len(band)]
-    # of an exponential distribution
+    # A periodogram has an exponential distribution, whose median is log(2) times its mean.
     level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)
     phi, of_band = CORRELATIONS[:, None], np.array([cosine[band].mean() for band in bands])
     shapes = 1 / (1 - 2 * phi * of_band + phi**2)
-    # (correlations, bands, n)
+    # The shape with the least scatter of log(level / shape) over the bands fits best:
+    # (correlations, bands, n).
     off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]
     best = off.std(axis=1).argmin(axis=0)
     scale = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
@@ -368,7 +383,7 @@ def _noise_like(problem: Problem) -> Array:
 
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
-    """Return the problem with added noise, and with unchanged weights of samples."""
+    """Return the problem with added noise (N, n), and with unchanged weights of samples."""
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     noisy = replace(problem, motion=FilteredMotion(problem.signals, q))
@@ -377,8 +392,9 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 
 def _least_squares(problem: Problem, method: Method, of: Estimate) -> Estimate:
-    """Solve least squares of the recording with the parameters of another, without load-dependent
-    friction.
+    """Solve least squares of one recording for the parameters of another estimate.
+
+    Load-dependent friction is not a part of it.
     """
     system = rows_of_recording(*equation_alone(problem)).system
     known = np.isin(system.names, [*map(base_name, of.names)]) & system.W.any(axis=0)

@@ -1,17 +1,19 @@
 """Least squares, equation (B): the start of the iterations, and a method of its own.
 
-    x <- x + (Z'J)^-1 Z'r,   Z = J
+    x <- x + (Z'J)⁻¹ Z'r,     Z = J
 
-but the instruments of drive gains are the torques that x predicts (I), as the recorded ones are
-noisy: least squares is biased towards gains of 0. A friction term whose column is nearly a sum of
-others is left out, with a message; so is load-dependent friction whose interval contains 0, before
-the first step. Gains and load-dependent friction take several steps, which end when no parameter
-changes by more than a thousandth of its standard error.
+The instruments of drive gains are the exception: they are the torques that x predicts, equation
+(I), because the recorded ones are noisy, and least squares biases drive gains towards zero. Gains
+and load-dependent friction take several steps, which end when no parameter changes by more than a
+thousandth of its standard error.
 
-The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method:
-long ones keep noise above the low-pass out of the rows, short ones leave more of short moves. Those
-of least squares with noisy positions say little of instrumental variables, whose half-widths come
-from instruments along the reference, which need no simulation.
+A friction term whose column is nearly a sum of others is left out, with a message. So is
+load-dependent friction whose interval contains 0, before the first step.
+
+The taper of the sample weights is chosen once for a fit, by the half-widths of its method. A long
+taper keeps noise above the low-pass out of the rows; a short one leaves more of short moves. With
+noisy positions, half-widths of least squares are a poor guide to those of instrumental variables.
+Those are computed with instruments from the reference, which need no simulation.
 """
 
 from collections.abc import Callable, Collection
@@ -41,40 +43,41 @@ from ..report import FTest, Method
 from .model import Model
 from .passes import Pass
 
-# share of the norm of an identifiable column that is independent of the others
+# A column is identifiable if at least this share of its norm is independent of the others.
 MIN_INDEPENDENT_NORM = 0.01
-# of load friction and gains: deviations at the end; shares of a step
+# Steps at most; largest last step in standard errors; smallest share of a step that is tried.
 MAX_STEPS, MAX_STEP, MIN_STEP = 30, 1e-3, 0.1
-# of the largest value: smaller changes are rounding, also where exact data have no deviation
+# Of the largest value: smaller changes are rounding, even where exact data have no standard error.
 MIN_CHANGE = 1e-10
 MIN_KNOWN_SHARE = 1e-6  # of the norm of Y, outside the span of W and L
 LONG, SHORT, *OTHERS = RAMPS
 
 
 def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Model, Pass]:
-    """Solve by least squares, equation (B), from rows about nothing but given gains.
+    """Solve by least squares, equation (B), from rows about given drive gains only.
 
     Parameters
     ----------
     model : recordings and unknowns; terms that cannot be identified are left out.
     rows : [Z J r] of all recordings along the measured motion, about `model.start()`.
-    method : `ols`, or `wls` and `iv`: rows weighted by joint.
+    method : `ols` without weights; `wls` and `iv` with rows weighted by joint.
 
     Returns
     -------
-    The model that is left, and the last step, whose rows are about the values before it.
+    The model with the remaining terms, and the last step, whose rows are about the values before
+    it.
 
     Raises
     ------
     NoFitError : the recordings excite too little, or have no more rows than parameters.
-    BadInputError : nothing determines the scale of drive gains.
+    BadInputError : the recordings do not determine the scale of drive gains.
     """
     model, rows = leave_out_collinear_terms(model, rows)
     x, arm = rows.x, np.setdiff1d(model.unknowns.arm, model.load)
     if model.unknowns.motors:
         refuse_without_scale(model, rows, arm)
-    # First of the unknowns that have columns about nothing known: by the described gains, whose
-    # own columns would let them become 0.
+    # First solve for the unknowns that are linear, at the given drive gains: with columns of the
+    # gains at this point, least squares could set all of them to 0.
     if len(arm) < len(model.names):
         x = model.x_of(solver_of(method)(rows.of(arm)), x)
         if len(model.load):
@@ -94,7 +97,7 @@ def least_squares(model: Model, rows: Rows, method: Method = "wls") -> tuple[Mod
 
 
 def at_gains(model: Model, found: Pass) -> Pass:
-    """Solve for all other unknowns with the drive gains of a solution; without gains return it."""
+    """Solve for all other unknowns at the drive gains of a solution; without gains return it."""
     if not model.unknowns.motors:
         return found
     x = model.x_of(found.estimate, found.x)
@@ -107,7 +110,7 @@ def at_gains(model: Model, found: Pass) -> Pass:
 
 
 def solver_of(method: Method) -> Callable[[System], Estimate]:
-    """Return least squares by the method, with rows weighted by joint unless it is `ols`."""
+    """Return the estimator of a method: rows are weighted by joint unless it is `ols`."""
     return ordinary_least_squares if method == "ols" else weighted_least_squares
 
 
@@ -116,12 +119,12 @@ def step_of(model: Model, rows: Rows, method: Method) -> Estimate:
 
         x + (Z'J)⁻¹ Z'r(x),     Z = J, or for drive gains the torque that x predicts     (C), (I)
 
-    Returns the estimate of the free unknowns after the step, combined with given centres of mass.
-    Raises `NoFitError` as the estimators do.
+    Returns the estimate after the step, combined with given centres of mass. Raises `NoFitError` as
+    the estimators do.
     """
     if model.unknowns.motors:
         rho = rows.system.Y - rows.system.W @ rows.x[: len(rows.system.names)]
-        # about x: at wrong gains least squares has other residuals
+        # Weights by the residuals at x: those of a least-squares fit at wrong gains differ.
         found = instrumental_variables(rows.system, rows.Z, weights_of(rows.system, rho))
     else:
         found = solver_of(method)(rows.system)
@@ -133,12 +136,12 @@ def settle(model: Model, rows: Rows, method: Method) -> Pass:
 
         x <- x + c (Z'J)⁻¹ Z'r(x),     c = 1, 1/2, 1/4, 1/8
 
-    c is halved while the next step would change more torque than this one. Both are compared with
+    c is halved while the next step would change the torque more than this one. Both changes have
     the weights of the step before, because those of least squares rise as the residual falls.
-    Without load-dependent friction and gains one step is enough.
+    Without load-dependent friction and drive gains one step is enough.
 
-    The values to start from are those about which the `rows` are. Returns the last step. Raises
-    `NoFitError` as `step_of`.
+    The first values are those of the `rows`. Returns the last step. Raises `NoFitError` as
+    `step_of`.
     """
     x, estimate, settled = rows.x, step_of(model, rows, method), True
     for _ in range(MAX_STEPS if len(model.load) or model.unknowns.motors else 0):
@@ -154,7 +157,8 @@ def settle(model: Model, rows: Rows, method: Method) -> Pass:
             if _torque(tried, left, estimate.weights) <= before:
                 break
             share /= 2
-        else:  # at an edge of the absolute value, from which every step leads back
+        # |tau_links| of (H) has an edge, from which every step leads back.
+        else:
             break
         x, rows, estimate = x + share * step, tried, found
     else:
@@ -178,9 +182,9 @@ def _torque(rows: Rows, step: Array, weights: Array) -> float:
 def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pass, FTest]:
     """Complete a solution by its torque, and find its essential parameters.
 
-    They are computed from the rows before the last step, which is small or, of linear terms, the
-    only one. Returns the solution of all parameters; if only `essential` ones are asked for theirs,
-    with the same weights, else the same again; and which they are.
+    They are found from the rows before the last step, which is small or, of linear terms, the only
+    one. Returns the solution of all parameters; the solution of the `essential` ones with the same
+    weights if only these are fitted, else the first one again; and the test.
     """
     rows, full = found.kept, found.estimate
     x = model.x_of(full, found.x)
@@ -198,7 +202,11 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pa
 
 
 def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
-    """Refuse recordings whose known torques are no more than the robot's parameters could give."""
+    """Refuse recordings whose known torques the parameters of the robot could explain.
+
+    Without a torque outside the span of the arm's columns, all parameters and drive gains may be
+    scaled by a common factor. `arm` are the places of the arm's parameters in x.
+    """
     of, system = model.unknowns, rows.system
     size, typical = np.linalg.norm(system.Y), np.linalg.norm(rows.tau * rows.share)
     left = size * relative_residual(system.W[:, arm], system.Y) if size > 0 else 0.0
@@ -223,8 +231,9 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
 
 
 def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array]:
-    """Leave out load-dependent friction that may be zero about x, the least certain first; return
-    model and x.
+    """Leave out load-dependent friction that may be zero; return model and x (p,).
+
+    The term with the widest relative interval goes first, and the others are estimated again.
     """
     arm, left_out = model.rows(x).of(model.unknowns.arm), dict[str, str]()
     names = [model.names[i] for i in model.load]
@@ -241,15 +250,14 @@ def leave_out_load(model: Model, x: Array, method: Method) -> tuple[Model, Array
             break
         name, joint = names[least], model.problem.joint_of(names[least])
         left_out[name] = (
-            f"load friction of joint {joint} left out: {name} = {value[least]:.2g} ± "
+            f"load-dependent friction of joint {joint} is left out: {name} = {value[least]:.2g} ± "
             f"{half[least]:.2g} may be zero"
         )
     return model.without(left_out), x[[name not in left_out for name in model.unknowns.all]]
 
 
 def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
-    """Leave out friction terms whose columns are nearly a sum of others; return the model and its
-    rows.
+    """Leave out friction terms whose columns are nearly a sum of others; return model and rows.
 
     Load-dependent friction is kept.
     """
@@ -264,16 +272,16 @@ def leave_out_collinear_terms(model: Model, rows: Rows) -> tuple[Model, Rows]:
 
 
 def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
-    """Return the most collinear of these parameters and a message; {} if none exceeds the limit.
+    """Return the most collinear of the named parameters and a message, as {name: message}.
 
-    That is the one with the smallest share of its column's norm that is independent of the other
-    columns, in the rows used.
+    It has the smallest share of its column's norm that is independent of the other columns, in the
+    rows used. The result is empty if that share is large enough.
     """
     norms = np.linalg.norm(system.W, axis=0)
     seen = norms > 1e-12 * norms.max()
     _, singular, Vt = np.linalg.svd(r_factor(system.W[:, seen] / norms[seen]))
-    # Row i of the inverse is normal to all other columns; 1 over its length is
-    # the share of column i.
+    # Row i of the inverse is normal to all other columns, and 1 over its length is the share of
+    # column i that is independent of them.
     left = np.zeros(len(norms))
     left[seen] = 1 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
     shares = {name: float(left[system.names.index(name)]) for name in indices}
@@ -281,22 +289,28 @@ def most_collinear(problem: Problem, system: System, indices: Collection[str]) -
     if shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
     return {
-        lowest: f"{problem.term_of(lowest).kind} friction of joint {problem.joint_of(lowest)} left "
-        f"out: {lowest} cannot be distinguished from the others "
+        lowest: f"{problem.term_of(lowest).kind} friction of joint {problem.joint_of(lowest)} is "
+        f"left out: {lowest} cannot be distinguished from the other parameters "
         f"({100 * shares[lowest]:.1f} % of its column is independent)"
     }
 
 
 def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
-    """Choose the ramps of the weights that give the smaller half-widths, in the median of the
-    parameters.
+    """Choose the weight taper with the smaller half-widths, by the median ratio of all parameters.
 
-    No weights, but rows in which joints move, are tried where moves are short; abrupt weights where
-    no ramps determine the parameters. Unchanged where no sample stands, or the ramps are given.
+    If moves are short, rows in motion without weights are tried too. If the parameters cannot be
+    determined with any taper, abrupt weights are used. Nothing changes if no sample is at rest, or
+    the taper is given.
 
-    `instruments`: half-widths are those of instruments along the motion that the reference
-    predicts, not of least squares. Returns the model with these ramps, and its rows about the
-    start.
+    Parameters
+    ----------
+    model : recordings and unknowns.
+    instruments : True to compare half-widths of instruments from the reference, False to compare
+        those of least squares.
+
+    Returns
+    -------
+    The model with this taper, and its rows about the start.
     """
     x = model.start()
     longest = [sample_weights(one.problem.with_samples()) for one in model.equations]
@@ -308,13 +322,15 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
 
     def at(ramp: float) -> tuple[Model, Rows]:
         one = model.with_ramps(ramp)
-        with suppress(BadInputError):  # what cannot be simulated is told after least squares
+        # What cannot be simulated is refused after least squares, with a better reason.
+        with suppress(BadInputError):
             return one, one.with_instruments(robots, x, None)[1] if instruments else one.rows(x)
         return one, one.rows(x)
 
     tried = {ramp: at(ramp) for ramp in (LONG, SHORT, *[ROWS] * short)}
     half = dict[float, dict[str, float]]()
-    # a joint that the reference holds has no instruments along it
+    # Instruments from the reference do not excite a joint that the reference holds: then all are
+    # compared by least squares.
     for along in (instruments, False):
         if len(half) < len(tried):
             half = {
@@ -333,10 +349,10 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
 
 
 def _half_widths(model: Model, rows: Rows, *, along: bool) -> dict[str, float]:
-    """Return half-widths by parameter, without load-dependent friction; {} if parameters are
-    undetermined.
+    """Return the half-widths by parameter, without load-dependent friction.
 
-    They are those of least squares or of the instruments `along` another motion.
+    They are those of instruments if the rows are `along` another motion, else those of least
+    squares. The result is empty if parameters are undetermined.
     """
     with suppress(NoFitError):
         model, rows = leave_out_collinear_terms(model, rows)

@@ -139,10 +139,10 @@ LOAD = [
     row("fit rub.mcap --robot load.toml", '"mu1"', of="rub"),
     row("fit rub.mcap --robot load.toml --essential", '"mu1"', of="rub"),
     row("fit rub.mcap --robot load.toml --consistent", "added chi²", of="rub"),
-    row("fit log.mcap --robot load.toml", r"load friction of joint \w+ left out"),
+    row("fit log.mcap --robot load.toml", r"load-dependent friction of joint \w+ is left out"),
     row(
         "fit log.mcap --robot load.toml --consistent",
-        r"load friction of joint \w+ left out",
+        r"load-dependent friction of joint \w+ is left out",
     ),
     row("friction rub.mcap", "load"),
     row("friction rub.mcap --cutoff-hz 12", "load"),

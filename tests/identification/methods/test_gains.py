@@ -356,7 +356,7 @@ def test_gains_without_reference_use_measured_motion(pair, fit):
         "iv",
         (),
     )
-    told = "drive gains by the measured motion: no robot is simulated without a recorded reference"
+    told = "drive gains from the measured motion: the robot cannot be simulated without a recorded"
     assert fit.trust.line("fixed point").text.startswith(told)
     assert (off_in_half_widths(fit, WHITE.gains) <= 1).all()
 
@@ -368,7 +368,7 @@ def test_negative_gains_not_simulated(pair, monkeypatch):
     line = fit.trust.line("fixed point")
     assert (line.level, fit.trust.verdict) == ("caution", "do not use")
     assert line.text.startswith(
-        "drive gains by the measured motion: no robot is simulated with these: "
+        "drive gains from the measured motion: the robot cannot be simulated with them: "
     )
     assert (gains_of(fit)[0] < 0).all()
 

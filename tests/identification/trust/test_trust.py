@@ -181,7 +181,7 @@ def test_unconverged_returns_best_tracking_iteration(monkeypatch):
     monkeypatch.setattr(iteration, "instrumental_variables", spoilt)
     fit = identify_iv(signals_of(SCARA), Overrides(), Iteration(max_iterations=3))
     assert (fit.status, fit.solution.returned, len(fit.passes)) == ("max_iterations", 1, 3)
-    assert "pass 1 is returned" in fit.solution.reason
+    assert "iteration 1 is returned" in fit.solution.reason
     assert fit.beta[0] == pytest.approx(3.45, rel=0.01)
 
 
