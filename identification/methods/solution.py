@@ -251,7 +251,7 @@ def status_of(
         percent = last.residual_change_percent
         moving.append(f"the residual norm still changes by {percent:.2g} %")
     text = " and ".join(moving) or "there is only the start"
-    return "max_iterations", f"after {last.number} iterations {text}"
+    return "max_iterations", f"after iteration {last.number} {text}"
 
 
 def _unconfirmed(model: Model, best: Pass, confirmed: Sequence[Simulated]) -> str | None:

@@ -208,7 +208,7 @@ def test_too_few_iterations_reported(most, tolerance, settled):
     if settled is None:
         assert (fit.status, fit.reason) == (
             "max_iterations",
-            "after 1 iterations there is only the start",
+            "after iteration 1 there is only the start",
         )
     else:
         assert (fit.passes[-1].residual_change_percent is None) == settled

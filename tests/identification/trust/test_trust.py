@@ -154,7 +154,10 @@ def test_bad_fit_or_validation_ends_with_status_3(tmp_path, capsys):
     out = tmp_path / "fit.json"
     robot = with_keys(tmp_path, "max_iterations = 1")
     status, _, err = run(capsys, "fit", SCARA, "--method", "iv", "--robot", robot, "--json", out)
-    assert (status, "not to be trusted: status max_iterations: after 1 passes" in err) == (3, True)
+    assert (status, "not to be trusted: status max_iterations: after iteration 1 " in err) == (
+        3,
+        True,
+    )
     assert json.loads(out.read_text())["status"] == "max_iterations"
     for most, expected in (("50", 0), ("0.1", 3)):
         status, _, err = run(capsys, "validate", out, SCARA, "--max-error-percent", most)
