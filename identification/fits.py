@@ -232,7 +232,8 @@ class Fit:
     def document(self) -> report.Document:
         """Report of the fit; known values have none and raise `BadInputError`."""
         Location(self.place).require(
-            self.file.provenance, text="has parameters only", expected="a fit of a recording"
+            self.file.provenance,
+            text="contains known parameters, but no fit of a recording",
         )
         return results.fit_document(self.file)
 
@@ -283,7 +284,10 @@ class Fit:
 
     def _made(self) -> results.Evidence:
         return Location(self.place).given(
-            self.evidence, text="was read from a file", expected="a fit in memory, or its log"
+            self.evidence,
+            text="was read from a file, which has no samples",
+            advice="Pass its recording, or repeat the fit",
+            arguments=("log",),
         )
 
     def _repr_html_(self) -> str:

@@ -195,8 +195,7 @@ def fit(
         not isinstance(robot, Robot) or bandwidth_hz is None,
         "bandwidth_hz",
         bandwidth_hz,
-        "a URDF's path with it",
-        text="has no effect",
+        text="requires the path of a URDF as robot",
     )
     overrides = Overrides(
         cutoff_hz=cutoff_hz,
@@ -207,9 +206,7 @@ def fit(
     )
     for key in ("cutoff_hz", "decimation", "low_speed_percent"):
         value = getattr(overrides, key)
-        COMMAND_LINE.require(
-            value is None or 0 <= value < float("inf"), key, value, "a number from 0"
-        )
+        COMMAND_LINE.require(value is None or 0 <= value < float("inf"), key, value, "0 or greater")
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
@@ -241,7 +238,7 @@ def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ..
             len(given[name]) == count,
             f"len({name})",
             len(given[name]),
-            f"{count}, one for each of q",
+            f"{count}, one for each array of q",
         )
     each = (_of_arrays(robot, {name: x[k] for name, x in given.items()}) for k in range(count))
     return tuple(

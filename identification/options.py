@@ -41,20 +41,20 @@ def _values(read: Callable[[str], Any]) -> Callable[[str], Any]:
 
 
 finite = _value("a number", float, lambda x: -INF < x < INF)
-above_zero = _value("a number above 0", float, lambda x: 0 < x < INF)
-rate = _value("a rate in Hz from 1; 0.008 s is 125 Hz", float, lambda x: 1 <= x < INF)
-# -0 is 0
-not_negative = _value("a number from 0", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)
-percent = _value("a percentage above 0, at most 100", float, lambda x: 0 < x <= 100)
-whole = _value("a whole number from 0", int, lambda x: x >= 0)
-positive = _value("a whole number from 1", int, lambda x: x >= 1)
+above_zero = _value("a number greater than 0", float, lambda x: 0 < x < INF)
+rate = _value("a rate of at least 1 Hz (0.008 s is 125 Hz)", float, lambda x: 1 <= x < INF)
+# The addition makes 0 of -0, which a file would show.
+not_negative = _value("0 or greater", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)
+percent = _value("a percentage greater than 0 and at most 100", float, lambda x: 0 < x <= 100)
+whole = _value("a whole number, 0 or greater", int, lambda x: x >= 0)
+positive = _value("a whole number, at least 1", int, lambda x: x >= 1)
 workers = _value(
-    "a whole number from 1, or tcp://HOST:PORT",
+    "a whole number, at least 1, or tcp://HOST:PORT",
     lambda text: text if "://" in text else positive(text),
 )
-at_least_two = _value("a whole number from 2", int, lambda x: x >= 2)
+at_least_two = _value("a whole number, at least 2", int, lambda x: x >= 2)
 cutoff = _value(
-    "a number above 0, or none", lambda text: 0.0 if text == "none" else above_zero(text)
+    "a number greater than 0, or none", lambda text: 0.0 if text == "none" else above_zero(text)
 )
 seconds_or_none = _value("a number, or none", lambda text: text if text == "none" else finite(text))
 list_of_values = _values(above_zero)
@@ -81,7 +81,8 @@ class Overrides:
     cutoff_hz: Annotated[
         float | None,
         option(
-            "low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)",
+            "cut-off frequency of the position filter, Hz, or none (default: 5 times the "
+            "bandwidth)",
             "F",
             cutoff,
         ),
@@ -95,9 +96,8 @@ class Overrides:
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(
-            "known delay of the recorded torque in s (positive: late), which the fit compensates, "
-            "or none (default: estimated "
-            "if the reference is recorded, else by effort_timing)",
+            "delay of the recorded torque to be compensated, s, positive if late, or none "
+            "(default: estimated if the reference is recorded, else from effort_timing)",
             "S",
             seconds_or_none,
         ),
@@ -106,7 +106,7 @@ class Overrides:
     gains: Annotated[
         tuple[str, ...] | None,
         option(
-            "identify the drive gains of all motors, or of these, from recordings with and "
+            "identify the drive gains of all motors, or of those named, from recordings with and "
             "without a weighed payload",
             "MOTOR,MOTOR",
             list_of_names,
@@ -145,13 +145,13 @@ class CellOptions:
     coloured_percent: Annotated[
         float,
         option(
-            "slow noise, AR(0.98), of the recorded torque, %% of the rms torque",
+            "coloured noise, AR(0.98), of the recorded torque, %% of the rms torque",
             "P",
             not_negative,
             "--effort-coloured-percent",
         ),
     ] = 0.0
-    lag_samples: Annotated[int, option("delay of the recorded torque in samples", "K", whole)] = 0
+    lag_samples: Annotated[int, option("delay of the recorded torque, samples", "K", whole)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +159,8 @@ class StudyOptions:
     """Simulated recordings of a study; without `runs` also of a single one."""
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 20
-    duration_s: Annotated[float, option("length in s", "S", above_zero)] = 10.0
-    sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", rate, "--rate-hz")] = 1000.0
+    duration_s: Annotated[float, option("length of a recording, s", "S", above_zero)] = 10.0
+    sample_rate_hz: Annotated[float, option("sample rate, Hz", "F", rate, "--rate-hz")] = 1000.0
     seed: Annotated[int, option("seed of the random reference and noise", "K", whole)] = 0
 
 
@@ -169,11 +169,11 @@ class ReferenceOptions:
     """An exciting reference: a Fourier series that is repeated."""
 
     period_s: Annotated[
-        float, option("period of the Fourier series in s", "S", above_zero, "--period")
+        float, option("period of the Fourier series, s", "S", above_zero, "--period")
     ] = 10.0
     harmonics: Annotated[int, option("number of harmonics", "H", at_least_two)] = 10
-    periods: Annotated[int, option("number of repetitions", "N", positive)] = 3
+    periods: Annotated[int, option("number of periods", "N", positive)] = 3
     seed: Annotated[int, option("seed of the random search", "K", whole)] = 1
     limits_percent: Annotated[
-        float, option("percentage of each limit that may be used", "P", percent)
+        float, option("share of each limit that may be used, %%", "P", percent)
     ] = 80.0

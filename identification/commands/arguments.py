@@ -26,21 +26,21 @@ def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._Argument
     description.
     """
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "robot", "ROBOT.toml", f"the robot's description; {text}")
+    add_path(inputs, "robot", "ROBOT.toml", f"robot description; {text}")
     return inputs
 
 
 def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     """Declare the recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
-    add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
+    add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recorded one")
     inputs.add_argument(
         "--payload",
         metavar="NAME=KG[@X,Y,Z]",
         action="append",
         default=[],
-        help="what the robot carried in the recording NAME, instead of what is stored there: kg "
-        "and centre of mass in m, none, or unknown; once for each recording",
+        help="payload of the recording NAME, in place of the recorded one: mass in kg and centre "
+        "of mass in m, none, or unknown; repeat for each recording",
     )
 
 
@@ -50,8 +50,8 @@ def add_method(settings: "argparse._ActionsContainer") -> None:
         "--method",
         choices=["ols", "wls", "iv"],
         type=str.lower,
-        help="ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables "
-        "(default: iv if every recording has its reference, else wls)",
+        help="ols: ordinary least squares; wls: least squares weighted by joint; iv: instrumental "
+        "variables (default: iv if every recording has its reference, else wls)",
     )
 
 
@@ -69,7 +69,8 @@ def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
             payload and name in names,
             "--payload",
             text,
-            f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}",
+            "NAME=KG[@X,Y,Z], NAME=none or NAME=unknown, where NAME is one of "
+            f"{', '.join(names[1::2])}",
         )
         payloads[name] = payload
     return [
@@ -80,12 +81,12 @@ def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
 
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Declare where tasks run: on the cores of this machine, or on a cluster."""
-    parser.add_argument_group("where it runs").add_argument(
+    parser.add_argument_group("processes").add_argument(
         "--workers",
         type=workers,
         metavar="N",
-        help="number of processes (default: all cores), or the address of a Dask scheduler, as "
-        "tcp://HOST:8786",
+        help="number of processes, or address of a Dask scheduler, such as tcp://HOST:8786 "
+        "(default: all cores)",
     )
 
 
@@ -99,7 +100,7 @@ def work_of(options: argparse.Namespace, tasks: int) -> "data.Work":
 def add_report(outputs: "argparse._ActionsContainer") -> None:
     """Declare `--report`."""
     add_path(
-        outputs, "--report", "FILE", "write the report: .md has the tables, .html also the pictures"
+        outputs, "--report", "FILE", "write the report: .md for tables, .html for tables and plots"
     )
 
 
@@ -169,7 +170,9 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        Location(str(out)).refuse(text=f"cannot be created: {error.strerror}", expected="a folder")
+        Location(str(out)).refuse(
+            text=f"the folder cannot be created ({error.strerror})", advice="Choose another folder"
+        )
 
 
 def refuse_outputs(
@@ -205,8 +208,8 @@ def refuse_outputs(
         if output is not None:
             Location(str(output)).require(
                 output.absolute().parent.is_dir(),
-                text=f"no folder {output.parent}",
-                expected="an existing folder",
+                text=f"the folder {output.parent} does not exist",
+                advice="Create it, or choose another file",
             )
 
 

@@ -9,7 +9,7 @@ from .arguments import add_robot, refuse_outputs, show_results
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot(parser, "its geometry and joints")
+    add_robot(parser, "needs joints and their geometry")
     add_flag(parser, "--all", "print all parameters, not only the regrouped ones")
     add_path(parser, "--json", "FILE", "write the parameters as JSON")
 

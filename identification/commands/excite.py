@@ -10,25 +10,25 @@ from . import arguments as shared
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    inputs = shared.add_robot(parser, "with limits of all joints")
+    inputs = shared.add_robot(parser, "all joints need limits")
     add_path(
         inputs,
         "--fit",
         "FIT.json",
-        "take parameters and noise from this fit (default: [parameters])",
+        "fit with the parameters and the noise (default: [parameters])",
     )
     add_path(
         inputs,
         "--after",
         "LOG.mcap",
-        "earlier recordings of the robot, whose information is added to that of the trajectory",
+        "earlier recordings of the robot, to which the trajectory adds information",
         nargs="+",
         default=[],
     )
     inputs.add_argument(
         "--payload",
         metavar="KG[@X,Y,Z]",
-        help="payload of a second run of the reference, to identify drive gains: kg, and its "
+        help="payload of a second run of the reference, to identify drive gains: mass in kg and "
         "centre of mass in m",
     )
     inputs.add_argument(
@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=list_of_values,
         metavar="A,B",
         help="standard deviation of the torque noise per row of the fit, in the unit of the "
-        "effort, one value or one per joint (default: of FIT.json, else 2 %% of the rms torque)",
+        "effort, one value or one per joint (default: from FIT.json, else 2 %% of the rms torque)",
     )
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
@@ -44,11 +44,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         outputs,
         "-o --out",
         "REF.csv",
-        "the reference, for `robot-acquire record --track`",
+        "reference to write, for `robot-acquire record --track`",
         required=True,
     )
     add_flag(outputs, "--all", "print the intervals of all parameters, not only the widest")
-    shared.add_pictures(outputs, "draw the reference and the intervals as a Rerun file")
+    shared.add_pictures(outputs, "write the reference and the intervals as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:

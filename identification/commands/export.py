@@ -11,18 +11,21 @@ from .arguments import print_results, refuse_outputs
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
+    add_path(inputs, "fit", "FIT.json", "fit that `fit --json` wrote")
     add_flag(inputs, "--allow-untrusted", "also export a fit with the verdict `do not use`")
     outputs = parser.add_argument_group("outputs")
     add_path(
-        outputs, "--urdf", "OUT.urdf", "the description's own URDF with new values, or a new one"
+        outputs,
+        "--urdf",
+        "OUT.urdf",
+        "write a URDF: that of the description with new values, or a new one",
     )
-    add_path(outputs, "--mjcf", "OUT.xml", "a MuJoCo model")
+    add_path(outputs, "--mjcf", "OUT.xml", "write a MuJoCo model")
     add_path(
         outputs,
         "--toml",
         "OUT.toml",
-        "the description with the fitted [parameters] and drive gains",
+        "write the description with the fitted [parameters] and drive gains",
     )
 
 
@@ -31,8 +34,8 @@ def run(options: argparse.Namespace) -> None:
     outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
     Location("export").require(
         any(outputs.values()),
-        text="nothing to write",
-        expected="--urdf, --mjcf or --toml with a file",
+        text="no output file is given",
+        advice="Add --urdf, --mjcf or --toml with a file",
     )
     refuse_outputs([options.fit], **outputs)
     with Progress("reading"):

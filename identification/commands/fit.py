@@ -61,13 +61,10 @@ def run(options: argparse.Namespace) -> int:
         shared.COMMAND_LINE.refuse(
             "--start",
             options.start,
-            "--method iv",
-            text=f"has no effect with --method {options.method}",
+            text=f"requires --method iv, not {options.method}",
         )
     if options.prior is not None and not options.consistent:
-        shared.COMMAND_LINE.refuse(
-            "--prior", str(options.prior), "--consistent with it", text="has no effect alone"
-        )
+        shared.COMMAND_LINE.refuse("--prior", str(options.prior), text="requires --consistent")
     pictures = _pictures(options)
     with Progress("reading") as progress:
         from .. import results

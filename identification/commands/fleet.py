@@ -28,18 +28,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         "folder with recordings (*.mcap), subfolders included",
         nargs="+",
     )
-    add_flag(
-        inputs, "--by-folder", "fit the recordings of each folder together: one row per folder"
-    )
-    add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
+    add_flag(inputs, "--by-folder", "fit the recordings of each folder together, in one row")
+    add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recorded one")
     add_method(parser.add_argument_group("settings of the fit"))
     add_work(parser)
     add_path(
         parser.add_argument_group("outputs"),
         "-o --out",
         "OUT",
-        "the table to write, .parquet or .csv; the folder OUT.rows keeps its fits, which the "
-        "next run does not make again",
+        "table to write, .parquet or .csv; the next run reuses the fits in the folder OUT.rows",
         required=True,
     )
 

@@ -23,11 +23,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         outputs,
         "--json",
         "FILE",
-        "write all sets of terms that were tried, and the recommended one, as JSON",
+        "write all tried sets of terms, and the selected one, as JSON",
     )
     shared.add_report(outputs)
     parser.set_defaults(all=True)
-    add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
+    add_flag(outputs, "--write", "write the selected terms to the description; requires --robot")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -35,8 +35,7 @@ def run(options: argparse.Namespace) -> None:
     shared.COMMAND_LINE.require(
         options.robot or not options.write,
         "--write",
-        True,
-        "--robot with it, the description to write to",
+        text="requires --robot, the description to be changed",
     )
     shared.refuse_outputs(
         [*options.recordings, options.robot], json=options.json, report=options.report

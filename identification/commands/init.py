@@ -20,19 +20,19 @@ _URDF_OPTIONS = {
     "position": (
         "--range",
         "Q",
-        "position limits, ± rad or m; if the URDF has limits too, the narrower are used",
+        "position limits, ± rad or m; if the URDF has limits too, the narrower ones are used",
     ),
     "speed": (
         "--speed",
         "V",
-        "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used",
+        "maximum speed, rad/s or m/s; if the URDF has one too, the smaller one is used",
     ),
     "acceleration": ("--acceleration", "A", "maximum acceleration, rad/s² or m/s²"),
     "following_error": ("--following-error", "Q", "maximum following error, rad or m"),
     "bandwidth_hz": (
         "--bandwidth-hz",
         "F",
-        "bandwidth of the position loop in Hz; if several are given, the lowest is used",
+        "bandwidth of the position loop, Hz; if several are given, the lowest one is used",
     ),
 }
 # units of efforts that go with them
@@ -45,15 +45,15 @@ _EFFORTS = {
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
+    add_path(parser, "robot", "ROBOT.urdf", "URDF of the robot", nargs="?")
     parser.add_argument(
         "--dh",
         metavar="RRPRRR",
-        help="without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are "
-        "to be filled in",
+        help="a letter for each joint, in place of a URDF: R (revolute) or P (prismatic); fill in "
+        "the marked DH rows",
     )
     group = parser.add_argument_group(
-        "what a URDF lacks: one value for all joints, or one per joint, as A,B,C"
+        "values that a URDF lacks: one for all joints, or one per joint, as A,B,C"
     )
     group.add_argument(
         "--joints",
@@ -66,35 +66,34 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--effort",
         choices=_EFFORTS["ratio"][:3],
-        help="unit of the recorded efforts (default with --bus: what the drives give); %% of the "
-        "rated torque",
+        help="unit of the recorded efforts; %% is percent of the rated torque (default with --bus: "
+        "that of the drives)",
     )
     group.add_argument(
         "--ratio",
         type=list_of_ratios,
         metavar="R",
-        help="with --effort: motor rad (or m) per joint rad (or m), sign included",
+        help="motor rad (or m) per joint rad (or m), sign included; requires --effort or --bus",
     )
     group.add_argument(
         "--drive-gain",
         type=list_of_values,
         metavar="K",
-        help="with --effort A or %%: motor torque in N m (or force in N) per unit of effort",
+        help="motor torque in N m (or force in N) per unit of effort; requires efforts in A or %%",
     )
     add_flag(
         group,
         "--torque-sensor",
-        "with --effort 'N m': of torque sensors behind the gears, without the rotors",
+        "efforts are from joint torque sensors, which do not measure rotor inertia; requires "
+        "--effort 'N m'",
     )
     add_path(
         parser,
         "--bus",
         "BUS.toml",
-        "the [bus] that `robot-acquire scan` wrote, instead of example drives",
+        "[bus] that `robot-acquire scan` wrote, in place of example drives",
     )
-    add_path(
-        parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)"
-    )
+    add_path(parser, "-o --out", "ROBOT.toml", "description to write (default: standard output)")
     add_flag(parser, "--overwrite", "replace an existing description")
 
 
@@ -109,13 +108,14 @@ def run(options: argparse.Namespace) -> None:
     Location(str(out)).require(
         out is None or not out.exists() or options.overwrite,
         text="already exists",
-        expected="a new name, or --overwrite",
+        advice="Choose a new name, or add --overwrite",
     )
     COMMAND_LINE.require(
         (options.robot is None) != (options.dh is None) and not (options.dh and options.joints),
         "--dh",
         options.dh,
-        "ROBOT.urdf, or --dh with a letter for each joint and without --joints",
+        text="the joints come either from a URDF or from --dh",
+        advice="Pass ROBOT.urdf, optionally with --joints, or --dh with a letter for each joint",
     )
     chain = (
         chain_of_letters(options.dh)
@@ -177,8 +177,9 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
             or ({*efforts} & {*units} and not (name == "ratio" and options.torque_sensor)),
             name,
             given.get(name),
-            f"with --effort {' or '.join(map(repr, units[:3]))}, and --ratio not with "
-            "--torque-sensor",
+            text="cannot be combined with --torque-sensor"
+            if name == "ratio" and options.torque_sensor
+            else f"requires efforts in {' or '.join(units)} (--effort or --bus)",
         )
     return replace(
         chain,
@@ -204,13 +205,14 @@ def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[st
         len(given) == len(stated),
         "drives",
         len(given),
-        f"{len(stated)} [[bus.drive]], one for each joint of the URDF",
+        f"{len(stated)}, one [[bus.drive]] for each joint of the URDF",
     )
     efforts = [unit or said for unit, said in zip(given, stated, strict=True)]
     COMMAND_LINE.require(
         not options.effort or {*efforts} <= {options.effort, *stated},
         "--effort",
         options.effort,
-        f"{', '.join(efforts)}, as the objects of the drives in {options.bus} give",
+        text=f"the drives in {options.bus} report {', '.join(efforts)}",
+        advice="Omit --effort",
     )
     return efforts

@@ -10,17 +10,17 @@ from .arguments import add_robot, print_results, refuse_outputs
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot(parser, "with [parameters]")
+    add_robot(parser, "needs [parameters]")
     simulated = parser.add_argument_group("simulated recording")
     add_options(simulated, StudyOptions, "duration_s", "sample_rate_hz", "seed", seed=1)
     add_options(simulated, CellOptions)
     parser.add_argument(
         "--payload",
         metavar="KG[@X,Y,Z]",
-        help="what the robot carries: mass, and centre of mass in m",
+        help="payload: mass in kg and centre of mass in m",
     )
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --out", "LOG.mcap", "the recording to write", required=True)
+    add_path(outputs, "-o --out", "LOG.mcap", "recording to write", required=True)
     add_overwrite(outputs)
 
 

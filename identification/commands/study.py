@@ -21,26 +21,25 @@ def add(parser: argparse.ArgumentParser) -> None:
         inputs,
         "input",
         "ROBOT.toml|LOG.mcap",
-        "a description with [parameters], whose robot is simulated, or a recording, which is "
-        "fitted with other settings, position noise and starts",
+        "robot description with [parameters], to simulate and fit recordings; or a recording, to "
+        "fit it with other settings, position noise and initial parameters",
     )
     inputs.add_argument(
         "--position-noise",
         type=list_of_noises,
         metavar="Q,Q",
-        help="position noise, rad or m rms: of the simulated encoder, one value (default "
-        f"{POSITION_NOISE:g}), or added to the recording, one or several (default: by the travel)",
+        help=f"position noise, rad or m rms: for simulations one value (default: "
+        f"{POSITION_NOISE:g}), for a recording one or several to be added (default: from the "
+        "travel)",
     )
-    simulated = parser.add_argument_group("with ROBOT.toml: simulated recordings")
+    simulated = parser.add_argument_group("simulated recordings, with ROBOT.toml")
     add_options(simulated, StudyOptions, **DEFAULTS)
     add_options(
         simulated, CellOptions, "effort_percent", "coloured_percent", "lag_samples", **DEFAULTS
     )
     add_path(simulated, "--json", "FILE", "write every run as JSON")
-    recorded = parser.add_argument_group("with LOG.mcap")
-    add_path(
-        recorded, "--robot", "ROBOT.toml", "use this description instead of the recording's own"
-    )
+    recorded = parser.add_argument_group("one recording, with LOG.mcap")
+    add_path(recorded, "--robot", "ROBOT.toml", "use this description instead of the recorded one")
     add_flag(recorded, "--all", "also print the values and intervals of all fits")
     parser.set_defaults(simulated=simulated, recorded=recorded, **dict.fromkeys(DEFAULTS))
     shared.add_work(parser)
@@ -56,9 +55,8 @@ def run(options: argparse.Namespace) -> None:
     for action in (options.simulated if recorded else options.recorded)._group_actions:
         Location(str(options.input)).require(
             getattr(options, action.dest) in (None, False),
-            text=f"{action.option_strings[0]} has no effect on "
-            f"{'a recording' if recorded else 'a simulated robot'}",
-            expected="ROBOT.toml with it" if recorded else "LOG.mcap with it",
+            text=f"{action.option_strings[0]} requires "
+            f"{'ROBOT.toml, not a recording' if recorded else 'LOG.mcap, not a description'}",
         )
     options.all |= not recorded
     (_of_recording if recorded else _of_robot)(options)
@@ -81,7 +79,7 @@ def _of_robot(options: argparse.Namespace) -> None:
 
     position, *more = options.position_noise or (POSITION_NOISE,)
     shared.COMMAND_LINE.require(
-        not more, "--position-noise", options.position_noise, "one with ROBOT.toml"
+        not more, "--position-noise", options.position_noise, "one value for a simulated robot"
     )
     vars(options).update({k: x for k, x in DEFAULTS.items() if getattr(options, k) is None})
     robot = load_robot(options.input)
@@ -94,7 +92,7 @@ def _of_robot(options: argparse.Namespace) -> None:
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
     Location(str(options.input)).require(
-        any(run.ls for run in runs), text=f"no run can be fitted: {runs[0].reason}"
+        any(run.ls for run in runs), text=f"no run could be fitted: {runs[0].reason}"
     )
     document = study_document(robot.name, study, runs, true)
     shared.show_results(
@@ -110,7 +108,10 @@ def _of_recording(options: argparse.Namespace) -> None:
     """Fit a recording in all variants, to see how far the estimates move."""
     noises = options.position_noise
     shared.COMMAND_LINE.require(
-        0 not in (noises or ()), "--position-noise", noises, "numbers above 0 with LOG.mcap"
+        0 not in (noises or ()),
+        "--position-noise",
+        noises,
+        "numbers greater than 0 for a recording",
     )
     options.recordings = [options.input]
     with Progress("fitting"):

@@ -41,8 +41,8 @@ def run(options: argparse.Namespace) -> int:
     *others, last = map(str, (options.fit, *options.recordings))
     Location(str(options.fit)).require(
         options.fit.suffix == ".json" or options.recordings[-1].suffix != ".json",
-        text="is no fit",
-        expected=f"the fit first: `robot-identify validate {last} {' '.join(others)}`",
+        text="is not a fit",
+        advice=f"Pass the fit first: `robot-identify validate {last} {' '.join(others)}`",
     )
     shared.refuse_outputs(
         [options.fit, *options.recordings, options.robot],

@@ -20,24 +20,26 @@ def add(parser: argparse.ArgumentParser) -> None:
         inputs,
         "--log",
         "LOG.mcap",
-        "with FIT.json in place of a recording: the recording to draw the fit on; without it the "
-        "page has no curves",
+        "recording to draw a fit on, which else has no curves; requires FIT.json in place of "
+        "LOG.mcap",
     )
     add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz")
     add_path(
         parser.add_argument_group("outputs"),
         "-o --out",
         "VIEW.rrd",
-        "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with "
-        "--follow); of a fit also .md (default: FIT.html)",
+        "file to write: .rrd, .html with spectra, of a fit also .md (default: LOG.rrd, or "
+        "FIT.html; with --follow a viewer)",
     )
     live = parser.add_argument_group("while another terminal records")
     add_flag(
         live,
         "--follow",
-        "show the recording while it is written; only a picture, it does not stop the robot",
+        "show the recording while it is written; the live view cannot stop the robot",
     )
-    add_path(live, "--fit", "FIT.json", "with --follow: also the residual torque of this fit")
+    add_path(
+        live, "--fit", "FIT.json", "also show the residual torque of this fit; requires --follow"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -46,16 +48,16 @@ def run(options: argparse.Namespace) -> None:
         options.out is None or len(options.recordings) == 1,
         "--out",
         str(options.out),
-        "no --out: LOG.rrd each",
-        text=f"one file for {len(options.recordings)} recordings",
+        text=f"one file cannot show {len(options.recordings)} recordings",
+        advice="Omit --out: each LOG.mcap gets its LOG.rrd",
     )
     if options.recordings[0].suffix == ".json":
         return _fit(options)
-    for option, value, expected in (
-        ("--log", options.log, "FIT.json before it"),
-        ("--fit", None if options.follow else options.fit, "--follow with it"),
+    for option, value, required in (
+        ("--log", options.log, "FIT.json in place of the recording"),
+        ("--fit", None if options.follow else options.fit, "--follow"),
     ):
-        COMMAND_LINE.require(value is None, option, str(value), expected, text="has no effect")
+        COMMAND_LINE.require(value is None, option, str(value), text=f"requires {required}")
     is_page = options.out is not None and options.out.suffix == ".html"
     if options.follow:
         COMMAND_LINE.require(not is_page, "--out", str(options.out), "FILE.rrd with --follow")
@@ -86,7 +88,7 @@ def _fit(options: argparse.Namespace) -> None:
     """Write the report of a stored fit, with its curves on the recording `--log`."""
     for name in ("robot", "payload", "cutoff_hz", "follow", "fit"):
         Location(f"--{name.replace('_', '-')}").require(
-            not getattr(options, name), text="has no effect on a fit", expected="a recording"
+            not getattr(options, name), text="requires a recording in place of the fit"
         )
     path = options.recordings[0]
     out = options.out or path.with_suffix(".html")
@@ -99,8 +101,8 @@ def _fit(options: argparse.Namespace) -> None:
     )
     Location(str(path)).require(
         options.log or out.suffix != ".rrd",
-        text="has no curves",
-        expected="--log LOG.mcap for a .rrd",
+        text="a fit that was read has no curves to draw in a .rrd",
+        advice="Add --log LOG.mcap",
     )
     with Progress("reading") as progress:
         from ..fits import Fit

@@ -254,7 +254,7 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         highest_hz <= max_hz * (1 + 1e-9),
         "harmonics",
         settings.harmonics,
-        text=f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of "
+        text=f"the highest harmonic of {highest_hz:.4g} Hz exceeds a third of the bandwidth of "
         f"{robot.bandwidth_hz:g} Hz",
         advice=f"Use {fewer}a period of at least "
         f"{math.ceil(100 * settings.harmonics / max_hz) / 100:g} s",
@@ -272,9 +272,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         Location(place).refuse(
             text=f"{limits.names[most].removeprefix('effort of ')} needs {held:.4g} "
-            f"{effort.units[worst]} to leave rest in the middle of the ranges",
-            expected=f"at most {100 * limits.share:g} % of the effort limit of "
-            f"{effort.limits[worst]:.4g}",
+            f"{effort.units[worst]} to start from rest in the middle of the ranges, more than "
+            f"{100 * limits.share:g} % of its effort limit of {effort.limits[worst]:.4g}",
+            advice="Check the effort limits and the position ranges",
         )
 
 

@@ -69,7 +69,7 @@ def prior_information(
     """
     Location("").require(
         noise is None or len(noise) in (1, robot.n),
-        "--noise",
+        "noise",
         ",".join(f"{x:g}" for x in (() if noise is None else noise)),
         f"one number, or one for each of {robot.n} joints",
     )
@@ -125,10 +125,11 @@ def loads_of(
     payload = knowledge.payload
     Location(place).require(
         payload is None or (knowledge.beta is not None and model.robot.gain_known),
-        "--payload",
+        "payload",
         payload and payload.text,
-        "--fit or [parameters], and drive_gain",
         text="its torque is unknown without parameters and drive gains",
+        advice="Add drive_gain to robot.toml, and [parameters] or a fit",
+        arguments=("fit",),
     )
     if knowledge.beta is None:
         return ()
@@ -191,7 +192,9 @@ def earlier_information(
             (own.names, own.units, own.expressions) == (base.names, base.units, base.expressions),
             "robot",
             signals.robot.name,
-            "a recording of the described robot, with the same base parameters",
+            text="its base parameters are not those of the described robot",
+            advice="Pass recordings of the described robot only",
+            arguments=("after",),
         )
         rows = regression.rows_of_recording(*regression.equation_alone(replace(problem, base=own)))
         W, _ = rows.system.weighted(1 / noise)
@@ -311,5 +314,5 @@ def _inverse(M: Array) -> Array:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise BadInputError(
             "no reference within the limits excites all parameters",
-            expected="wider limits, or fewer friction terms",
+            advice="Widen the limits, or remove friction terms",
         ) from error

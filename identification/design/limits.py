@@ -209,8 +209,8 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
         Location(place).require(
             joint.si(kind) is not None,
             f"joint[{i}].{kind}_{'deg' if joint.type == 'revolute' else 'm'}{tail}",
-            text=f"joint {joint.name} states none",
-            expected="a limit",
+            text=f"joint {joint.name} has no {kind} limit",
+            advice="Add this key to robot.toml",
         )
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
@@ -225,8 +225,9 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     ):
         Location(place).require(
             friction < share * limit,
-            text=f"{name}: Coulomb friction of {friction:.4g} {unit}",
-            expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
+            text=f"Coulomb friction of {name} is {friction:.4g} {unit}, at least "
+            f"{100 * share:g} % of its effort limit of {limit:.4g} {unit}",
+            advice="Check the effort limit and the friction parameters",
         )
     return Limits(
         robot=robot,

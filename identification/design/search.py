@@ -90,7 +90,7 @@ def best_of_searches(
             )
             most, name = problem.limits.largest(motion_of(x, problem.finer))
             if most > 1 + TOLERANCE:
-                raise NoFitError(f"{name} is exceeded by {100 * (most - 1):.3g} %")
+                raise NoFitError(f"{name} exceeds its limit by {100 * (most - 1):.3g} %")
             sigma = problem.information.sigma(motion_of(x, problem.basis))
         except NoFitError as error:
             worst = str(error)
@@ -102,7 +102,8 @@ def best_of_searches(
         raise NoFitError(
             f"no reference keeps the limits: {worst}",
             place=place,
-            expected="wider limits, another --seed or --harmonics",
+            advice="Widen the limits, or change the seed or the harmonics",
+            arguments=("seed", "harmonics"),
         )
     return min(found, key=lambda one: one[:2])[2:]
 
@@ -155,7 +156,7 @@ def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
 
 
 def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> None:
-    say(f"{text}: deviations {math.exp(criterion / 2):.2f} times those of the plain reference")
+    say(f"{text}: standard errors {math.exp(criterion / 2):.2f} times those of a plain reference")
 
 
 def best_series(problem: SearchProblem, start: Array, say: Callable[[float], None]) -> Array:

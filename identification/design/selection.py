@@ -281,7 +281,8 @@ class Trials:
         self.weights = self._fit(at_all_joints(robot, ()))[1].estimate.weights
         _, _, last = self._fit(at_all_joints(robot, CANDIDATES))
         self.unpredicted = {
-            name: f"{name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
+            name: f"{name} cannot be predicted by the others, which do not determine "
+            f"{', '.join(lost[:8])}"
             for name, (_, lost) in zip(self.names, self._predictions(last), strict=True)
             if lost
         }
@@ -290,8 +291,9 @@ class Trials:
             left >= MIN_PARTS,
             "parts held out",
             left,
-            f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints",
+            f"at least {MIN_PARTS}",
             text="; ".join(self.unpredicted.values()),
+            advice="Use recordings that each move all joints; of a single one, every fifth has to",
         )
 
     def of(self, terms: TermSet) -> Trial:

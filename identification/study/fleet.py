@@ -69,9 +69,7 @@ def found_recordings(
     for folder in folders:
         # hidden ones are being written
         new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}
-        Location(str(folder)).require(
-            new, text="no recordings", expected="a folder with files *.mcap"
-        )
+        Location(str(folder)).require(new, text="contains no recordings (*.mcap)")
         files |= new
     for file in sorted(files):
         found.setdefault(file.parent if by_folder else file, []).append(

@@ -154,8 +154,8 @@ def random_reference(
     samples = duration_s * sample_rate_hz
     Location("").require(
         MIN_SAMPLES <= samples <= MAX_SAMPLES,
-        text=f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; "
-        f"expected {MIN_SAMPLES} to {MAX_SAMPLES}",
+        text=f"{duration_s:g} s at {sample_rate_hz:g} Hz are {samples:g} samples",
+        expected=f"{MIN_SAMPLES} to {MAX_SAMPLES}",
     )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
     return by_rows(
@@ -193,8 +193,10 @@ def closed_loop(
             loop = replace(loop, velocity_estimate="backward_difference")
     Location(f"robot {robot.name}").require(
         abs(loop.period_s * sample_rate_hz - 1) <= 1e-9,
-        text=f"controller.sample_rate_hz = {1 / loop.period_s:g}",
-        expected=f"{sample_rate_hz:g}, the rate of the simulated recording",
+        text=f"its controller runs at {1 / loop.period_s:g} Hz, but the recording is simulated at "
+        f"{sample_rate_hz:g} Hz",
+        advice="Use the rate of the controller",
+        arguments=("sample_rate_hz",),
     )
     fastest = np.max(
         [
@@ -211,7 +213,7 @@ def closed_loop(
         encoder = partial(noise.seen, noise.position * rng.standard_normal(dq.shape))
         done, reason = follower.follow(Reference(q_ref[rows], dq, ddq, seen=encoder), bound)
         if reason:
-            raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
+            raise NoFitError(f"robot {robot.name} cannot be simulated: {reason}")
         seen[rows], held[rows] = encoder(done[0, ::PLANT_STEPS]), done[3, ::PLANT_STEPS]
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
@@ -288,7 +290,9 @@ def record_simulated_session(
     BadInputError : the description has no `[bus]` or values, or the session failed.
     """
     period_s = (
-        Location(place).given(robot.bus, "[bus]", None, "the drives to simulate").sync_period_s
+        Location(place)
+        .given(robot.bus, "[bus]", None, advice="Describe the drives to be simulated")
+        .sync_period_s
     )
     model, described = true_model(robot), described or robot
     t_s: Array = np.arange(round(SESSION_S / period_s) + 1, dtype=np.float64) * period_s

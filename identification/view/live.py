@@ -73,8 +73,8 @@ def follow_recording(
                 raise BadInputError(
                     f"has not grown for {now_s - grown_s:.0f} s",
                     place=str(path),
-                    expected="the recorder to write; `robot-acquire import` repairs a recording "
-                    "that was cut",
+                    advice="Check the recorder; `robot-acquire import` repairs a recording that "
+                    "is truncated",
                 )
             _wait()
     finally:
@@ -114,7 +114,7 @@ class Residual:
         cutoff_hz, n_d = stored.error_cutoff_hz, stored.error_decimation
         if stored.sample_rate_hz is None or n_d is None or UNSET in rms:
             raise BadInputError(
-                "has no rms residuals", place=place, expected="a fit of this version: fit again"
+                "contains no rms residuals", place=place, advice="Repeat the fit with this version"
             )
         self.band = [BAND * float(value) for value in rms if value is not UNSET]
         assert robot.bus is not None

@@ -257,7 +257,7 @@ def test_progress_on_terminal_only(capfd, monkeypatch):
         (
             identify,
             "fit a.mcap --cutoff-hz 0",
-            "argument --cutoff-hz: '0': expected a number above 0, or none",
+            "argument --cutoff-hz: '0': expected a number greater than 0, or none",
         ),
         (
             identify,
@@ -267,7 +267,7 @@ def test_progress_on_terminal_only(capfd, monkeypatch):
         (
             identify,
             "simulate a -o b --rate-hz 0.008",
-            "'0.008': expected a rate in Hz from 1; 0.008 s is 125 Hz",
+            "'0.008': expected a rate of at least 1 Hz (0.008 s is 125 Hz)",
         ),
         (identify, "fit", " fit: error: the following arguments are required: LOG.mcap"),
         (
@@ -375,8 +375,8 @@ def test_swapped_arguments_are_reported(capsys):
         assert identify(["validate", *map(str, command)]) == 1
         right = " ".join(map(str, [FIT, *command[:-1]]))
         assert capsys.readouterr().err == (
-            f"robot-identify: {SESSION}: is no fit: expected the fit first: `robot-identify "
-            f"validate {right}`\n"
+            f"robot-identify: {SESSION}: is not a fit. Pass the fit first: `robot-identify "
+            f"validate {right}`.\n"
         )
 
 

@@ -137,14 +137,14 @@ RATE = "one rate in Hz, greater than 0"
             "(N, 2), one row per sample",
         ),
         ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
-        ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
+        ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "0 or greater"),
         ({"sample_rate_hz": 0.008}, "arrays", "sample_rate_hz", 0.008, "1 or greater"),
         (
             {"bandwidth_hz": 5.0, "robot": robot_named("scara")},
             "",
             "bandwidth_hz",
             5.0,
-            "a URDF's path with it",
+            "",
         ),
         ({"bandwidth_hz": 5.0}, "", "bandwidth_hz", None, ""),
     ],
@@ -517,7 +517,7 @@ def test_several_recordings_are_lists_of_arrays(signals, tmp_path):
         assert (caught.value.key, caught.value.value, caught.value.expected) == (
             key,
             1,
-            "2, one for each of q",
+            "2, one for each array of q",
         )
 
 

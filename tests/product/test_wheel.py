@@ -62,7 +62,9 @@ def test_wheel_has_programs_and_demo(installed, tmp_path):
     )
     assert (
         done.stderr
-        == 2 * "robot-identify: /dev/null: cannot be created: File exists: expected a folder\n"
+        == 2
+        * "robot-identify: /dev/null: the folder cannot be created (File exists). Choose another "
+        "folder.\n"
     )
     assert done.stdout.startswith(
         f"{installed}/acquisition/__main__.py {installed}/identification/__main__.py\n"

@@ -86,8 +86,10 @@ def test_impossible_cutoffs_and_controllers(capsys, robot_file, key, value, cuto
 def test_short_simulations_and_bad_folders(capsys, tmp_path, robot_file):
     out = tmp_path / "x.mcap"
     short = refused(capsys, "simulate", robot_file, "-o", out, "--duration-s", "0.0001")
-    assert "0.1 samples; expected 100 to" in short
-    assert "/dev/null: cannot be created" in refused(capsys, "demo", "--out", "/dev/null")
+    assert "0.1 samples: expected 100 to" in short
+    assert "/dev/null: the folder cannot be created" in refused(
+        capsys, "demo", "--out", "/dev/null"
+    )
     with pytest.raises(SystemExit):
         run(capsys, "simulate", robot_file, "-o", out, "--seed", "-1")
     assert "--seed" in capsys.readouterr().err

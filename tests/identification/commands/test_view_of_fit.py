@@ -42,8 +42,8 @@ def test_stored_fit_report_matches_memory(stored, tmp_path, capsys):
 
 def test_stored_fit_without_log_has_no_rerun(stored, tmp_path, capsys):
     assert "--log LOG.mcap" in refused(capsys, "view", stored, "-o", tmp_path / "fit.rrd")
-    assert "FIT.json before it" in refused(capsys, "view", SCARA, "--log", stored)
-    assert "no effect on a fit" in refused(capsys, "view", stored, "--cutoff-hz", "20")
+    assert "requires FIT.json" in refused(capsys, "view", SCARA, "--log", stored)
+    assert "requires a recording" in refused(capsys, "view", stored, "--cutoff-hz", "20")
 
 
 def test_known_values_have_no_report(stored, tmp_path, capsys):
@@ -51,4 +51,4 @@ def test_known_values_have_no_report(stored, tmp_path, capsys):
     known.write_text(
         json.dumps({"format": 1, "parameters": json.loads(stored.read_text())["parameters"]})
     )
-    assert "has parameters only" in refused(capsys, "view", known)
+    assert "no fit of a recording" in refused(capsys, "view", known)

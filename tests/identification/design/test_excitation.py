@@ -243,7 +243,7 @@ def test_reference_beats_plain_design(tx40_excitation):
     assert np.median(smaller) > 1.7
     assert smaller.min() > 0.9
     assert len(said) > 10
-    assert said[-1].startswith("search 1 of 1: deviations 0.")
+    assert said[-1].startswith("search 1 of 1: standard errors 0.")
 
 
 def test_limits_hold_between_samples(tx40_excitation):
@@ -301,7 +301,7 @@ def test_no_worse_parameter_precedes_criterion(monkeypatch):
 def test_search_fails_if_every_motion_exceeds_limits(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     with pytest.raises(
-        NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by"
+        NoFitError, match=r"no reference keeps the limits: \w+ of joint \w+ exceeds its limit by"
     ):
         excite(
             SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here"
@@ -323,18 +323,18 @@ def test_search_fails_if_every_motion_exceeds_limits(monkeypatch):
             10,
             "Use a period of at least 300 s (period_s).",
         ),
-        ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder states none"),
+        ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder has no speed limit"),
         (
             "acceleration_deg_s2 = 1500\n",
             "",
             10,
-            "joint[0].acceleration_deg_s2: joint shoulder states none",
+            "joint[0].acceleration_deg_s2: joint shoulder has no acceleration limit",
         ),
         (
             "[-120, 120]",
             "[-120, 120]\neffort_nm = 0.9",
             10,
-            "joint shoulder: Coulomb friction of 0.82 N m",
+            "Coulomb friction of joint shoulder is 0.82 N m, at least 80 % of its effort limit",
         ),
         ("counts_per_turn = 262144", "counts_per_turn = 1e11", 2, "(motor_1) = "),
     ],
@@ -353,7 +353,7 @@ def test_excess_gravity_refused():
     )
     robot = replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
     with pytest.raises(
-        BadInputError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"
+        BadInputError, match=r"joint_2 needs [0-9.]+ N m to start from rest .* effort limit of 24"
     ):
         excite(robot, ExcitationSettings(), prior_information(robot), "here")
 
@@ -440,7 +440,9 @@ def test_earlier_recordings_add_information(earlier):
     system = rows_of_recording(*alone).system
     rows = system.W / noise[system.joint_of_row, None]
     assert pytest.approx(rows.T @ rows) == M
-    with pytest.raises(RobotIdimError, match="expected a recording of the described robot"):
+    with pytest.raises(
+        RobotIdimError, match="base parameters are not those of the described robot"
+    ):
         earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
 
 
@@ -467,7 +469,7 @@ def test_command_writes_reference(tmp_path, capsys):
     assert path[0] == pytest.approx(path[3000], abs=1e-6)
     assert main(["excite", str(toml), "-o", str(toml)]) == 1
     assert main(["excite", str(toml), "-o", str(out), "--harmonics", "30"]) == 1
-    assert "above a third of the bandwidth of 5 Hz" in capsys.readouterr().err
+    assert "exceeds a third of the bandwidth of 5 Hz" in capsys.readouterr().err
 
 
 def capsules(text, base_m=0.1, names="ab"):

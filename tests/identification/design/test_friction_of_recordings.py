@@ -181,7 +181,7 @@ def test_unpredicted_recording_named():
     choice = select_friction(Recordings(sources=(*still, several()[2])), WITHOUT_LAG)
     assert choice.held_out == ("r1.mcap", "r2.mcap")
     (line,) = [line for line in choice.left_out if "predicted" in line]
-    assert line.startswith("r3.mcap cannot be predicted by the others: ")
+    assert line.startswith("r3.mcap cannot be predicted by the others, which do not determine ")
     assert "Fc2" in line
     with pytest.raises(RobotIdimError) as refused:
         select_friction(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)

@@ -195,7 +195,7 @@ def test_scanned_bus_replaces_example_drives(here, capsys):
 def test_existing_file_kept_urdf_found_from_output(here, capsys):
     (here / "bus.toml").write_text(BUS)
     said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
-    assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
+    assert said == "bus.toml: drives = 2: expected 3, one [[bus.drive]] for each joint of the URDF"
     assert not (here / "robot.toml").exists()
     (here / "robot.toml").write_text("mine")
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml", "--overwrite")
@@ -205,7 +205,7 @@ def test_existing_file_kept_urdf_found_from_output(here, capsys):
     mine = '[[joint]]\nname = "mine"\n'
     (here / "robot.toml").write_text(mine)
     said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    assert said == "robot.toml: already exists: expected a new name, or --overwrite"
+    assert said == "robot.toml: already exists. Choose a new name, or add --overwrite."
     assert (here / "robot.toml").read_text() == mine
     for out in (["--bus", "bus.toml", "-o", "bus.toml"], ["-o", "arm.urdf"]):
         assert "the output is also an input" in refused(capsys, "init", "arm.urdf", *out)

@@ -279,7 +279,8 @@ def test_study_without_convergence_says_so(capsys, tmp_path):
     assert (tmp_path / "s.html").stat().st_size > 1000
     told = refused(capsys, "study", robot, "--runs", "2", "--rate-hz", "500")
     assert (
-        "no run can be fitted: robot SCARA: controller.sample_rate_hz = 1000: expected 500" in told
+        "no run could be fitted: robot SCARA: its controller runs at 1000 Hz, but the recording is "
+        "simulated at 500 Hz" in told
     )
 
 

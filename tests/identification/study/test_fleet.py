@@ -183,8 +183,8 @@ def test_program_error_is_row_and_retried(fleet, monkeypatch):
 def test_bad_input_refused(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     for folder, out, text in (
-        ("none", "f.csv", "none: no recordings: expected a folder with files *.mcap\n"),
-        ("empty", "none/f.csv", "expected an existing folder\n"),
+        ("none", "f.csv", "none: contains no recordings (*.mcap)\n"),
+        ("empty", "none/f.csv", "none does not exist. Create it, or choose another file.\n"),
         ("empty", "f.xlsx", "f.xlsx: ending = '.xlsx': expected .parquet or .csv\n"),
     ):
         assert main(["fleet", str(tmp_path / folder), "-o", str(tmp_path / out)]) == 1

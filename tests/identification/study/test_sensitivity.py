@@ -194,11 +194,11 @@ def test_unfittable_recording_refused():
 @pytest.mark.parametrize(
     ("file", "option", "said"),
     [
-        ("session.mcap", "--seed 1", "--seed has no effect on a recording: expected ROBOT.toml"),
-        ("session.mcap", "--json a", "--json has no effect on a recording: expected ROBOT.toml"),
-        ("session.mcap", "--position-noise 0,1", "expected numbers above 0 with LOG.mcap"),
-        ("robot.toml", "--all", "--all has no effect on a simulated robot: expected LOG.mcap"),
-        ("robot.toml", "--position-noise 1,2", "expected one with ROBOT.toml"),
+        ("session.mcap", "--seed 1", "--seed requires ROBOT.toml, not a recording"),
+        ("session.mcap", "--json a", "--json requires ROBOT.toml, not a recording"),
+        ("session.mcap", "--position-noise 0,1", "expected numbers greater than 0 for a recording"),
+        ("robot.toml", "--all", "--all requires LOG.mcap, not a description"),
+        ("robot.toml", "--position-noise 1,2", "expected one value for a simulated robot"),
     ],
 )
 def test_options_of_other_study_refused(file, option, said, capsys):

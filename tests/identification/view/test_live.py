@@ -125,10 +125,10 @@ def clocked(monkeypatch: pytest.MonkeyPatch, at_poll: Callable[[], object]) -> N
 @pytest.mark.parametrize(
     ("harm", "text"),
     [
-        (Path.unlink, "is gone"),
-        (lambda path: os.truncate(path, 30_000), "was cut"),
+        (Path.unlink, "the recording was moved or deleted"),
+        (lambda path: os.truncate(path, 30_000), "the recording was truncated"),
         (lambda path: path.with_suffix(".b").write_bytes(path.read_bytes())
-         and path.with_suffix(".b").rename(path), "was replaced"),
+         and path.with_suffix(".b").rename(path), "the recording was replaced"),
         (lambda path: None, "has not grown"),
     ],
 )  # fmt: skip
