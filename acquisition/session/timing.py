@@ -204,6 +204,7 @@ def refuse_jitter(master: Master) -> Jitter:
             key="SYNC jitter sd",
             value=found.sd_s,
             shown=f"{found.sd_s * 1e3:.3f} ms",
-            expected="less; end other programs, or permit SCHED_FIFO (acquisition/README.md)",
+            expected="less; end other programs, or permit SCHED_FIFO "
+            "(acquisition/docs/recording.md)",
         )
     return found

@@ -93,7 +93,7 @@ ADDED_COLUMNS = Words(
     "gravity, the zero or the ratio of a joint, a lag of one joint, clocks that run apart, "
     "drifts, hysteresis, a limit of the effort, a brake that drags for a time",
     advice="describe it (`friction`, `offset`, `gravity_m_s2`), record it "
-    "([`known_torque`](../../acquisition/formats.md#maptoml)), remove its cause",
+    "([`known_torque`](../../acquisition/docs/import.md#maptoml)), remove its cause",
     detects="A term that the model lacks: asymmetric friction, friction by the root of "
     "speed or by load, offset, drift, a spring, one that is not linear, a limit of the "
     "effort, Stribeck friction, a denied rotor, tilt of gravity, the zero of a joint, gain, "

@@ -15,7 +15,7 @@ from urdfs import TWO_TURNING
 
 from acquisition.recording import read_recording
 
-FORMATS = ROOT / "acquisition" / "formats.md"
+FORMATS = ROOT / "acquisition" / "docs" / "import.md"
 START, ROBOT, READING = (
     ROOT / "identification" / "docs" / f"{page}.md" for page in ("start", "robot", "reading-a-fit")
 )
