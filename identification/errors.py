@@ -4,4 +4,4 @@ from acquisition.errors import BadInputError, NoFitError, RobotIdimError
 
 
 class DoNotUseWarning(UserWarning):
-    """A fit with the verdict `do not use`; its text has the tests that say so."""
+    """A fit has the verdict `do not use`; the text lists the tests that found a problem."""

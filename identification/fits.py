@@ -26,8 +26,9 @@ class Parameters(tuple[report.Parameter, ...]):
     """The parameters of a fit, in its order."""
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """Return columns by name, as pandas takes them; `half_width` is that of the 95 %
-        interval.
+        """Return the columns by name, for example for `pandas.DataFrame`.
+
+        `half_width` is half the width of the 95 % interval, in the unit of the value.
         """
         return {
             "half_width" if name == "half" else name: [getattr(p, name) for p in self]
@@ -36,14 +37,13 @@ class Parameters(tuple[report.Parameter, ...]):
 
 
 class Fit:
-    """Base parameters of a robot with their tests, and what can be written of them.
+    """A fit: base parameters of a robot, the results of the tests, and methods that use it.
 
     Attributes:
-        file: all keys of the JSON file.
-        place: its name in errors, and in what is exported.
-        evidence: the data that it was made from, with the iterations, the rows and the simulated
-            robot;
-            None for a fit that was read from a file.
+        file: content of the JSON file.
+        place: name of the fit in errors and in exported files.
+        evidence: the data of the fit, with iterations, rows and simulated robot; None if the fit
+            was read from a file.
     """
 
     def __init__(
@@ -53,12 +53,21 @@ class Fit:
 
     @classmethod
     def of(cls, evidence: results.Evidence) -> "Fit":
-        """Return the fit that was just made."""
+        """Return a `Fit` of a solution with its tests, as `results.identify` returns it."""
         return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
 
     @classmethod
     def read(cls, path: File) -> "Fit":
-        """Read the fit of a JSON file; raise `BadInputError` as `report.read_fit` does."""
+        """Read a fit from a JSON file, as `identification.read_fit` does.
+
+        Parameters
+        ----------
+        path : file that `robot-identify fit --json` or `to_json` wrote.
+
+        Raises
+        ------
+        BadInputError : the file cannot be read, or is not a fit of this format.
+        """
         return cls(report.read_fit(path), str(path))
 
     def __repr__(self) -> str:
@@ -66,46 +75,53 @@ class Fit:
 
     @property
     def verdict(self) -> report.Verdict | UnsetType:
-        """Worst level of the tests, `trust`, `caution` or `do not use`; unset in a file of an
-        earlier version.
+        """Worst level of all tests: `trust`, `caution` or `do not use`.
+
+        It is unset in a file of an earlier version.
         """
         return self.file.verdict
 
     @property
     def assumed(self) -> tuple[report.Assumed, ...]:
-        """Assumptions that no test covers: `what`, `value`, `why`."""
+        """Assumptions that no test covers, each with `what`, `value` and `why`."""
         return tuple(self.file.assumed or ())
 
     @property
     def trust(self) -> tuple[report.TrustResult, ...]:
-        """Tests, worst first: `test`, `level`, `value`, `text`."""
+        """Results of the tests, worst first, each with `test`, `level`, `value` and `text`."""
         return tuple(self.file.trust or ())
 
     @property
     def status(self) -> str:
-        """Status of the method; `solved` or `converged` if it ended well."""
+        """Status of the method.
+
+        It is `solved` after least squares, and `converged`, `not_confirmed`, `max_iterations` or
+        `diverged` after IV.
+        """
         return self.file.status or ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the recording or its settings."""
+        """Warnings about the recordings and the settings."""
         return tuple(self.file.warnings)
 
     @property
     def errors(self) -> tuple[report.TorqueResidual, ...]:
-        """Torque errors of the joints and, last, of all together."""
+        """Torque errors of each joint and, last, of all joints, percent of the torque."""
         return self.file.errors
 
     @property
     def parameters(self) -> Parameters:
-        """Fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression`,
+        """Fitted parameters.
+
+        Each has a `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression` and
         `essential`.
         """
         return Parameters(self.file.parameters)
 
     @property
     def base(self) -> BaseParameters:
-        """All base parameters of the robot."""
+        """Base parameters of the robot with `names`, `units` and `expressions`, fitted or not."""
         return (
             base_parameters(InverseModel(results.stored_robot(self.file, self.place)))
             if self.evidence is None
@@ -114,10 +130,10 @@ class Fit:
 
     @property
     def beta(self) -> Array:
-        """Values of all base parameters, (b,), in the order of `base.names`, zero if left out.
+        """Values of all base parameters, shape (b,), in the order and units of `base`.
 
-        Per-recording parameters are those of the first recording, or their means in a fit that was
-        read.
+        The value is 0 for parameters that were not fitted. Per-recording parameters have the values
+        of the first recording, or their means in a fit that was read.
         """
         return (
             results.stored_beta(self.file, self.base, self.place)
@@ -127,38 +143,60 @@ class Fit:
 
     @property
     def t_s(self) -> Array:
-        """Instants of the rows of all recordings, in their order, s, (rows,)."""
+        """Times of the rows of all recordings, shape (rows,), s.
+
+        Each recording begins at 0; the recordings are in the order given.
+        """
         return self._made().t_s
 
     def residuals(self) -> Array:
-        """Return measured minus predicted torque (rows, n), N m or N, of the decimated rows at
-        `t_s`.
+        """Return the measured minus the predicted torque in the decimated rows.
 
-        Rows that do not count are included.
+        Returns
+        -------
+        Residuals, shape (rows, n), N m or N, at the times `t_s`, with rows of zero weight too.
+
+        Raises
+        ------
+        BadInputError : the fit was read from a file, which has no rows.
         """
         return self._made().tau - self._made().tau_predicted
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return the torque (rows, n), N m or N, of the model without payload along a motion.
+        """Return the torque of the model without payload along a motion.
 
         Parameters
         ----------
-        q, dq, ddq : (rows, n) motion, rad or m, per s and per s².
+        q : joint positions, shape (rows, n), rad or m.
+        dq : joint speeds, shape (rows, n), rad/s or m/s.
+        ddq : joint accelerations, shape (rows, n), rad/s² or m/s².
+
+        Returns
+        -------
+        Joint torques, shape (rows, n), N m, or forces, N.
+
+        Raises
+        ------
+        BadInputError : the arrays have other shapes.
         """
         return results.stored_torque(self.file, self.place, q, dq, ddq)
 
     def compare(self, other: "Fit") -> tuple[report.Difference, ...]:
-        """Compare the parameters with those of another fit.
+        """Compare the parameters with those of another fit; warn if the link frames differ.
 
-        It warns if the link frames differ.
+        Parameters
+        ----------
+        other : the other fit.
 
         Returns
         -------
-        Differences with `name`, `off`, `off_percent`, `off_sigma`.
+        One difference per parameter: `name`, `unit`, the parameters `a` and `b` of both fits, `off`
+            = a - b, `off_percent` in percent of b, and `off_sigma` in standard errors of the
+            difference.
 
         Raises
         ------
-        BadInputError : the fits have nothing in common, or other units.
+        BadInputError : the fits have no parameter in common, or have other units.
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
@@ -172,8 +210,9 @@ class Fit:
     def validate(
         self, recording: Signals | File, overrides: Overrides | None = None
     ) -> report.ValidationFile:
-        """Compute the torque errors on another recording of the robot, as `identification.validate`
-        does.
+        """Compute the torque errors on a recording that the fit was not fitted to.
+
+        Parameters, values and errors are those of `identification.validate`.
         """
         pair = (
             (recording, Path())
@@ -188,18 +227,25 @@ class Fit:
     def export(
         self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False
     ) -> str:
-        """Write the fit as a URDF, a MuJoCo model and a robot.toml; after `consistent` its
-        physically consistent values.
+        """Write the fit as a URDF, a MuJoCo model and a robot.toml.
+
+        After `consistent` the files contain the physically consistent parameters.
+
+        Parameters
+        ----------
+        urdf : URDF to write.
+        mjcf : MuJoCo model to write.
+        toml : robot.toml to write, with the fitted `[parameters]` and drive gains.
+        allow_untrusted : True to export a fit with the verdict `do not use`.
 
         Returns
         -------
-        A report in Markdown on what each format cannot represent.
+        A report in Markdown that says what each format cannot represent.
 
         Raises
         ------
-        BadInputError : the verdict is `do not use` and `allow_untrusted` is not set; the fit is in
-            A or V; or
-            the parameters are impossible.
+        BadInputError : the verdict is `do not use`, the fit is in A or V, or no physically
+            consistent parameters exist.
         """
         paths = {
             kind: Path(path)
@@ -213,16 +259,17 @@ class Fit:
     def consistent(self, prior: File | None = None) -> "Fit":
         """Return the fit with the nearest physically consistent parameters of all links.
 
+        The estimate itself does not change.
+
         Parameters
         ----------
-        prior : robot.toml or URDF with a priori link parameters; default: the description of the
+        prior : robot.toml or URDF with a priori link parameters. Default: the description of the
             fit.
 
         Raises
         ------
-        BadInputError : a drive gain is not known, the prior is of another robot, there are no such
-            parameters,
-            or the fit was read from a file.
+        BadInputError : a drive gain is not known, the prior is of another robot, no physically
+            consistent parameters are found, or the fit was read from a file.
         """
         robot = self._made().problem.signals.robot
         found = None if prior is None else results.read_prior(Path(prior), robot)
@@ -230,7 +277,7 @@ class Fit:
 
     @property
     def document(self) -> report.Document:
-        """Report of the fit; known values have none and raise `BadInputError`."""
+        """Report of the fit; known parameters have none and raise `BadInputError`."""
         Location(self.place).require(
             self.file.provenance,
             text="contains known parameters, but no fit of a recording",
@@ -238,13 +285,20 @@ class Fit:
         return results.fit_document(self.file)
 
     def to_json(self, path: File) -> None:
-        """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
+        """Write the JSON file of `robot-identify fit --json`, which `read_fit` reads."""
         report.write_json(Path(path), self.file)
 
     def write_report(self, path: File, log: File | None = None) -> None:
-        """Write the whole report: .md the tables, .html also the plots.
+        """Write the report: tables as .md, tables and plots as .html.
 
-        Curves of a fit that was read are those of the recording `log`.
+        Parameters
+        ----------
+        path : file to write.
+        log : recording for the curves; a fit that was read has no others.
+
+        Raises
+        ------
+        BadInputError : the ending is neither .md nor .html, or the fit has no report.
         """
         path, document = Path(path), self.document
         if path.suffix == ".md":
@@ -258,10 +312,16 @@ class Fit:
             Location(str(path)).refuse("ending", path.suffix, ".md or .html")
 
     def write_rrd(self, path: File, log: File | None = None) -> None:
-        """Write trajectories and fit as a Rerun file.
+        """Write trajectories and fit as a Rerun file, or one file per recording, numbered from 1.
 
-        Several recordings get one file each, numbered from 1; a fit that was read shows the
-        recording `log`.
+        Parameters
+        ----------
+        path : file to write.
+        log : recording for the curves; required for a fit that was read.
+
+        Raises
+        ------
+        BadInputError : the fit was read from a file and `log` is missing.
         """
         from .view import draw_fit, write_rrd
 

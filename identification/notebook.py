@@ -38,8 +38,10 @@ P = ParamSpec("P")
 
 
 def _of_user(found: results.Evidence) -> Fit:
-    """Return the fit as users have it; called by what users call, so that the warning names their
-    line.
+    """Return a fit, with a `DoNotUseWarning` at the user's line if its verdict is `do not use`.
+
+    Only functions that users call directly call this, because the warning counts the frames up to
+    the line of the user.
     """
     fit = Fit.of(found)
     if refused := [line.text for line in fit.trust if line.level == "do not use"]:
@@ -59,7 +61,7 @@ identify_ls, identify_iv = _for_users(results.identify_ls), _for_users(results.i
 
 
 def read_fit(path: File) -> Fit:
-    """Read the JSON file of a fit, or of known values.
+    """Read a fit, or known values of parameters, from a JSON file.
 
     Parameters
     ----------
@@ -85,18 +87,19 @@ def read_robot(
     speed: float | Sequence[float] | None = None,
     acceleration: float | Sequence[float] | None = None,
 ) -> Robot:
-    """Read a robot from a robot.toml, or from a URDF with values that it lacks.
+    """Read a robot from a robot.toml, or from a URDF and the values that a URDF lacks.
 
-    Other functions take its path, too.
+    Other functions of this package accept the path of either file in place of a robot.
 
     Parameters
     ----------
     path : robot.toml or URDF.
-    joints : joints to identify, from the base outwards; default: the longest serial chain of the
-        URDF.
-    bandwidth_hz : bandwidth of the position loops, Hz, which fits need.
-    position, speed, acceleration : limits in rad or m (per s, s²), for all joints or by joint; the
-        position is ± about zero.
+    joints : names of the joints to identify, from the base outwards. Default: the longest serial
+        chain of the URDF.
+    bandwidth_hz : bandwidth of the position loops, Hz. A fit needs it.
+    position : position limits, ± about zero, rad or m; one value for all joints, or one per joint.
+    speed : speed limits, rad/s or m/s; one value for all joints, or one per joint.
+    acceleration : acceleration limits, rad/s² or m/s²; one value for all joints, or one per joint.
 
     Returns
     -------
@@ -104,7 +107,8 @@ def read_robot(
 
     Raises
     ------
-    BadInputError : no such file, or a value beside a robot.toml, which has a key for it.
+    BadInputError : the file cannot be read, or values are given for a robot.toml, which has keys
+        for them.
     """
     given = {
         name: tuple(np.atleast_1d(value).tolist())
@@ -145,48 +149,52 @@ def fit(
 ) -> Fit:
     """Identify the base parameters of a robot from arrays.
 
-    For several recordings give lists of arrays, one for each, and one rate or a list. `identify_ls`
-    and `identify_iv` do the same for files.
+    To fit several recordings together, pass a list of arrays for each array, one per recording, and
+    one sample rate or a list. Settings that are not given follow the keys of `[identification]`,
+    else the rules of the package. `identify_ls` and `identify_iv` fit files.
 
     Parameters
     ----------
-    q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V if the description has no drive
-        gain. Their timing is unknown: `torque_lag_s` gives the delay.
-    sample_rate_hz : sample rate, Hz. If `q` is read from a recording whose rate differs by more
-        than
-        5 %, the recording's rate is used, with a warning.
-    robot : the description, or the path of a robot.toml or of a URDF.
-    q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the
-        instruments are not strictly exogenous (a warning of the fit).
-    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without), least
-        squares
-        weighted by joint; or `ols`, without weights.
-    bandwidth_hz : bandwidth of the position loops, Hz; for a URDF, which has none.
-    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as options of
-        `robot-identify fit` and keys of `[identification]`, in place of the rules; `cutoff_hz` 0:
-        no filter; `torque_lag_s` `none`: no correction.
-    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative of q,
-        which is fitted.
-    known_torque : (N, n) external torques on the joints, N m or N, same sign as `tau`; the model
-        explains the sum.
-    feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded
-        effort (which includes it); the simulated controller adds it too.
-    payload : payload of the robot as `KG@X,Y,Z`, m; with a sequence, of each recording, None for
-        nothing.
-    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and
-        without a payload.
+    q : measured joint positions, shape (N, n), rad or m, time first.
+    tau : joint torques, shape (N, n), N m, or forces, N; in A or V if the description has no drive
+        gains. Their timing is taken as unknown; `torque_lag_s` gives their delay.
+    sample_rate_hz : sample rate, Hz. If `q` comes from a recording whose rate differs by more than
+        5 %, a warning is given and the rate of the recording is used.
+    robot : the robot, or the path of its robot.toml or URDF.
+    q_ref : reference positions, shape (N, n), rad or m. Without them `iv` takes its instruments
+        from the measured positions, which are not strictly exogenous; the fit then has a warning.
+    method : `iv`, instrumental variables; `wls`, least squares weighted by joint; `ols`, least
+        squares without weights. Default: `iv` if `q_ref` is given, else `wls`.
+    bandwidth_hz : bandwidth of the position loops, Hz; allowed only with the path of a URDF, which
+        does not contain it.
+    cutoff_hz : cut-off frequency of the position filter, Hz; 0 for no filter. Default: 5 times the
+        bandwidth.
+    decimation : samples per row of the fit. Default: from the sample rate and the bandwidth.
+    low_speed_percent : speed below which samples have zero weight, percent of the peak speed.
+    torque_lag_s : delay of the torque to be compensated, s, positive if late; `none` for no
+        correction.
+    essential : True to fit only the essential parameters.
+    velocity : measured joint speeds, shape (N, n), rad/s or m/s. They are only compared with the
+        derivative of `q`, which is fitted.
+    known_torque : external torques on the joints, shape (N, n), N m or N, with the sign of `tau`.
+        The model explains the sum of both.
+    feedforward : feed-forward added to the output of the controller, shape (N, n), one column per
+        motor, in the unit of the recorded effort, which includes it. The simulated controller adds
+        it too.
+    payload : payload of the robot as `KG@X,Y,Z`, kg and m. For several recordings, a sequence with
+        None for no payload.
+    gains : names of the motors whose drive gains are identified, from recordings with and without a
+        payload; `("all",)` for all motors.
 
     Returns
     -------
-    Fit : `verdict`, `parameters`, `beta` (b,) in the order of `base.names`, `errors`, `status`,
-        `warnings`; the verdict `do not use` is also a `DoNotUseWarning`.
+    The fit. The verdict `do not use` also gives a `DoNotUseWarning`.
 
     Raises
     ------
-    BadInputError : arrays that do not fit together, a setting out of range, a description that
-        cannot be read, or a velocity in a wrong unit or of a wrong sign.
-    NoFitError : too little motion.
+    BadInputError : the arrays do not fit together, a setting is out of range, the description
+        cannot be read, or a velocity has the wrong unit or sign.
+    NoFitError : the robot moves too little.
     """
     COMMAND_LINE.require(
         method in (None, "iv", "wls", "ols"), "method", method, "'iv', 'wls' or 'ols'"
@@ -230,7 +238,7 @@ def fit(
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:
-    """Make recordings from lists of their arrays; what is not a list belongs to each."""
+    """Make recordings from lists of arrays; what is not a list belongs to every recording."""
     count = len(given["q"])
     for name, x in given.items():
         given[name] = x if isinstance(x, list | tuple | np.ndarray) else [x] * count
@@ -247,7 +255,6 @@ def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ..
 
 
 def _of_arrays(robot: Robot, given: dict[str, Any]) -> Signals:
-    """Make a recording from its arrays."""
     text = given.pop("payload")
     payload = parse_payload(text, robot, "payload") if text else None
     return replace(signals_from_arrays(robot=robot, **given), payload=payload)
@@ -260,23 +267,23 @@ fit.__annotations__ = {"return": Fit}
 def validate(
     fit: Fit, recording: Signals | File, overrides: Overrides | None = None
 ) -> ValidationFile:
-    """Compute the torque errors of a fit on another recording of the robot.
+    """Compute the torque errors of a fit on a recording that it was not fitted to.
 
     Parameters
     ----------
     fit : the fit.
-    recording : a recording that it was not fitted to.
+    recording : another recording of the robot, or its path.
     overrides : settings that replace those of the fit.
 
     Returns
     -------
-    Errors in `relative_error_percent` and `joints`, `warnings`, and how far the fit predicts the
-    motion,
-    `ahead`.
+    The torque errors, percent: `relative_error_percent` of all joints and, in `joints`, of each
+        joint; `warnings`; and `ahead`, the errors of positions that the fit predicts by simulation,
+        by time in s.
 
     Raises
     ------
-    BadInputError : the recording is of another robot.
+    BadInputError : the recording cannot be read, or is of another robot.
     """
     return fit.validate(recording, overrides)
 
@@ -290,25 +297,29 @@ def design_reference(
     after: Sequence[File] = (),
     payload: str | None = None,
 ) -> Excitation:
-    """Design an exciting reference within the limits of the robot.
+    """Design an exciting reference trajectory within the limits of the robot.
 
     Parameters
     ----------
-    robot : the description, or the path of a robot.toml or of a URDF; all joints need limits.
-    settings : period, harmonics, seed and others.
-    fit : JSON file with parameters and noise; default: `[parameters]`.
-    noise : standard deviation of the torque per row of the fit, N m or N, one or by joint.
-    after : recordings whose information is added.
-    payload : `KG@X,Y,Z`, m, of a second run of the reference, to identify drive gains.
+    robot : the robot, or the path of its robot.toml or URDF. All joints need limits.
+    settings : period, harmonics, number of periods, seed, and share of the limits.
+    fit : JSON file of a fit, for parameters and noise. Default: `[parameters]` of the description.
+    noise : standard deviation of the torque noise per row of the fit, N m or N; one value for all
+        joints, or one per joint. Default: from the fit, else 2 % of the rms torque.
+    after : paths of earlier recordings, whose information is added.
+    payload : payload of a second run of the reference, to identify drive gains, as `KG@X,Y,Z`, kg
+        and m.
 
     Returns
     -------
-    The reference with its expected intervals; `write` makes the CSV for `robot-acquire record
+    The reference with the expected intervals. Its `write` makes the CSV for `robot-acquire record
     --track`.
 
     Raises
     ------
-    BadInputError : a limit is missing, or no reference is found.
+    BadInputError : a limit is missing, the drives cannot follow the reference, or no reference
+        excites all parameters.
+    NoFitError : no reference within the limits is found.
     """
     described = _robot(robot)
     place, folder = (
@@ -328,14 +339,14 @@ def design_reference(
 def simulate_recording(
     robot: File | Robot, out: File, settings: Study | None = None, payload: str | None = None
 ) -> Signals:
-    """Write and read a recording of the robot simulated with its `[parameters]`.
+    """Simulate the robot of `[parameters]`, write a recording of it, and read the recording.
 
     Parameters
     ----------
-    robot : the description, or the path of a robot.toml or of a URDF.
-    out : file of the recording.
-    settings : length, rate, seed and noise.
-    payload : `KG@X,Y,Z`, m.
+    robot : the robot, or the path of its robot.toml or URDF.
+    out : MCAP file to write.
+    settings : length, sample rate, seed and noise.
+    payload : payload as `KG@X,Y,Z`, kg and m.
 
     Returns
     -------
@@ -343,7 +354,8 @@ def simulate_recording(
 
     Raises
     ------
-    BadInputError : a value or a limit is missing, or `out` exists.
+    BadInputError : a parameter or a limit is missing, or `out` exists.
+    NoFitError : the robot cannot be simulated along the reference.
     """
     described = _robot(robot)
     refuse_clash((), of_kinds={"mcap": Path(out)})
@@ -359,14 +371,13 @@ def simulate_recording(
 def run_study(
     robot: File | Robot, settings: Study | None = None, work: Work | None = None
 ) -> list[Run]:
-    """Fit simulated recordings of the robot of `[parameters]`, by least squares and instrumental
-    variables.
+    """Fit simulated recordings of the robot of `[parameters]` by least squares and by IV.
 
     Parameters
     ----------
-    robot : the description, or the path of a robot.toml or of a URDF.
-    settings : number, length, rate and noise of the recordings.
-    work : where they run, such as `Work(4)`.
+    robot : the robot, or the path of its robot.toml or URDF.
+    settings : number, length, sample rate, seed and noise of the recordings.
+    work : where the recordings are simulated and fitted, such as `Work(4)` for four processes.
 
     Returns
     -------
@@ -374,6 +385,6 @@ def run_study(
 
     Raises
     ------
-    BadInputError : a value or a limit is missing.
+    BadInputError : a parameter or a limit is missing.
     """
     return list(study.run_study(_robot(robot), settings or Study(), work or Work()))

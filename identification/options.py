@@ -22,9 +22,7 @@ Span = Literal["motion", "all"]
 def _value(
     expected: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
 ) -> Callable[[str], Any]:
-    """Return a function that reads a value; argparse shows what was `expected` if it is not
-    accepted.
-    """
+    """Return a function that reads a value; argparse shows `expected` for a refused value."""
 
     def value(text: str) -> Any:
         with suppress(ValueError, ArgumentTypeError):
@@ -36,7 +34,6 @@ def _value(
 
 
 def _values(read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return a function that reads values separated by commas."""
     return lambda text: tuple(read(part.strip()) for part in text.split(","))
 
 
@@ -65,17 +62,22 @@ list_of_names = _values(_value("a name", str, bool))
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """Settings of a fit that replace the rules; None keeps the rule, or the key of robot.toml.
+    """Settings of a fit that replace those of robot.toml and of the rules; None keeps these.
 
     Attributes:
-        cutoff_hz: low-pass of the position, Hz; 0 means no filter.
-        low_speed_percent: one number is for least squares and iv; `method` takes its own, by the
-            recording if it is None.
-        ramp_rows: weight taper, as in `Settings`.
-        torque_lag_s: delay of the torque, s; "none" means no correction.
-        law: control law that another fit of the recording estimated, with the same cut-off,
-            decimation
-            and time range (`Evidence.law`).
+        cutoff_hz: cut-off frequency of the position filter, Hz; 0 for no filter.
+        decimation: samples per row of the fit.
+        span: `motion`, samples from the first to the last motion, or `all`.
+        edges: treatment of the ends by the filter, `smooth` or `matlab`.
+        low_speed_percent: speed below which samples have zero weight, percent of the peak speed:
+            one value for least squares and IV, or one for each.
+        method: method whose `low_speed_percent` is used; None for the default of the recording.
+        ramp_rows: length of the weight taper, rows.
+        torque_lag_s: delay of the torque to be compensated, s, positive if late; `none` for no
+            correction.
+        gains: motors whose drive gains are identified, or `("all",)`.
+        law: control law that another fit of the recording estimated (`Evidence.law`), with the same
+            cut-off, decimation and time range.
     """
 
     cutoff_hz: Annotated[
@@ -117,7 +119,7 @@ class Overrides:
     law: Any = None
 
     def over(self, others: "Overrides") -> "Overrides":
-        """Return these options; those that are None come from `others`."""
+        """Return these settings; those that are None come from `others`."""
         return replace(
             others, **{name: value for name, value in vars(self).items() if value is not None}
         )
@@ -125,8 +127,15 @@ class Overrides:
 
 @dataclass(frozen=True, kw_only=True)
 class CellOptions:
-    """Noise of a simulated cell, none by default; of the torque in percent of
-    each joint's rms torque.
+    """Noise of a simulated recording; none by default.
+
+    Attributes:
+        encoder_step: step of the encoder, rad or m.
+        position: noise of the encoder, rad or m rms.
+        effort_percent: white noise of the recorded torque, percent of each joint's rms torque.
+        coloured_percent: coloured noise, AR(0.98), of the recorded torque, percent of each joint's
+            rms torque.
+        lag_samples: delay of the recorded torque, samples.
     """
 
     encoder_step: Annotated[float, option("encoder step, rad or m", "Q", not_negative)] = 0.0
@@ -156,7 +165,14 @@ class CellOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Simulated recordings of a study; without `runs` also of a single one."""
+    """Simulated recordings of a study, or, without `runs`, a single one.
+
+    Attributes:
+        runs: number of recordings.
+        duration_s: length of a recording, s.
+        sample_rate_hz: sample rate, Hz.
+        seed: seed of the random references and of the noise.
+    """
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 20
     duration_s: Annotated[float, option("length of a recording, s", "S", above_zero)] = 10.0
@@ -166,7 +182,15 @@ class StudyOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceOptions:
-    """An exciting reference: a Fourier series that is repeated."""
+    """A periodic exciting reference, a Fourier series.
+
+    Attributes:
+        period_s: period, s.
+        harmonics: number of harmonics, at least 2.
+        periods: number of periods.
+        seed: seed of the random search.
+        limits_percent: share of each limit that may be used, percent.
+    """
 
     period_s: Annotated[
         float, option("period of the Fourier series, s", "S", above_zero, "--period")

@@ -44,23 +44,23 @@ MOTOR_KEYS = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
 
 
 def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
-    """Read a recording.
+    """Read the signals of a recording.
 
     Parameters
     ----------
-    path : an MCAP file with joint samples.
-    robot : replaces the description stored in the recording; it may correct
-        ratios and gains, not units.
+    path : MCAP file with joint samples.
+    robot : robot in place of the recorded description. Its ratios and gains may differ, its units
+        may not.
 
     Returns
     -------
-    The samples in SI units at the joints, on a uniform grid; interpolated if they are more
-    than 0.05 periods off it.
+    The samples in SI units at the joints, on a uniform grid. They are interpolated if one is more
+    than 0.05 periods off the grid.
 
     Raises
     ------
-    BadInputError : the file cannot be read, is cut off, has gaps or no joint samples, or
-        `robot` has other units.
+    BadInputError : the file cannot be read, is truncated, has gaps or no joint samples, or `robot`
+        has other units.
     """
     path = Path(path)
     recording, samples = _read(path)
@@ -258,15 +258,14 @@ def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingFile:
-    """A recording's file; the process that needs it reads it, at the same path in all processes.
+    """A recording on disk, which each process that needs it reads from the same path.
 
     Attributes:
         path: path of the file.
-        description: files, by name, of a description that replaces the recording's own; None for
-            its
-            own.
-        payload: replaces the recording's own payload, as `--payload`, `none` or `unknown`; None for
-            its own.
+        description: files, by name, of a description that replaces the recorded one; None for the
+            recorded one.
+        payload: payload that replaces the recorded one, as for the option `--payload`, or `none`,
+            or `unknown`; None for the recorded one.
     """
 
     path: str
@@ -277,8 +276,14 @@ class RecordingFile:
     def at(
         cls, path: Path, robot: Robot | None = None, payload: str | None = None
     ) -> "RecordingFile":
-        """Return the recording at `path`, with the description `robot` and the `payload` if
-        given.
+        """Return the recording at a path.
+
+        Parameters
+        ----------
+        path : path of the MCAP file.
+        robot : robot in place of the recorded description.
+        payload : payload in place of the recorded one, as `KG@X,Y,Z` (kg and m), `none` or
+            `unknown`.
         """
         return cls(
             path=str(path.absolute()),
@@ -287,7 +292,7 @@ class RecordingFile:
         )
 
     def load(self) -> Signals:
-        """Return the signals of the recording; raise as `load_signals`."""
+        """Read the signals, with errors as for `load_signals`."""
         signals = load_signals(
             self.path,
             robot_from_files(dict(self.description), self.path) if self.description else None,
@@ -306,7 +311,12 @@ class RecordingFile:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recordings:
-    """Recordings of one robot that are fitted together, and where their tasks run."""
+    """Recordings of one robot that are fitted together.
+
+    Attributes:
+        sources: the recordings, read or not.
+        work: where their tasks run.
+    """
 
     sources: tuple[Signals | RecordingFile, ...]
     work: Work = field(default_factory=Work)

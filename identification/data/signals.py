@@ -25,36 +25,41 @@ COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signals:
-    """The measurements of a recording on a uniform grid.
+    """Measurements of a recording on a uniform grid: N samples of n joints.
 
     Attributes:
-        t_s: (N,) time from the first sample, s.
-        q: (N, n) measured joint positions, rad or m.
-        q_ref: (N, n) reference positions, or None.
-        effort: (N, n) joint torques in N m, forces in N; in A or V if the drive gain is unknown.
-        track: (start, stop) sample range of the tracking phase, or None.
-        recording, sha256: file name of the recording, and its digest.
-        events: phases of the session, warnings, marks; `first_ns`: the stamp of the first sample.
-        health: the recorder's counters by name: t_s (k,) from the first
-            sample, and the counts (k,).
-        effort_timing: `command` of an instant, held after it; `mean` over the control
-            period around it, as this package simulates; `measured` at the instant, as in
-            ROS joint states; or `unknown`.
-        provenance: origin of the efforts, in words; `effort_object`: the part of it that
-            distinguishes efforts.
-        velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
-        known_torque: (N, n) known external torques on the joints, N m or N, or None.
-        feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of
-            the recorded effort, or None.
-        payload: what the robot carried, None for nothing.
-        began: when the recording began, None if unknown.
-        off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID`
-            samples are interpolated.
-        assumed: what the description does not state and a fit assumes, as warnings.
-        measured: (N,) whether a sample was measured; what was not weighs nothing. None: all were.
-        unmeasured: in words how many were not, and why.
-        motion_hz: of the rules if the description states no bandwidth: above it positions are
-            only noise; else None.
+        t_s: times from the first sample, shape (N,), s.
+        q: measured joint positions, shape (N, n), rad or m.
+        q_ref: reference positions, shape (N, n), rad or m, or None.
+        effort: joint torques, shape (N, n), N m, or forces, N; in A or V if the drive gain is
+            unknown.
+        sample_rate_hz: sample rate, Hz.
+        track: first sample of the tracking phase, and the one after its last, or None.
+        robot: the robot, from the description in the recording or from another one.
+        recording: file name of the recording.
+        sha256: digest of the file; empty for arrays.
+        events: phases, warnings and annotations of the session.
+        first_ns: timestamp of the first sample, ns.
+        health: counters of the recorder by name: times, shape (k,), s, and counts, shape (k,).
+        effort_timing: `command`, an effort that holds from its instant; `mean` over the control
+            period around the instant, as simulated here; `measured` at the instant, as in ROS joint
+            states; or `unknown`.
+        provenance: origin of the efforts, in words.
+        effort_object: the part of `provenance` that distinguishes efforts.
+        velocity: measured joint speeds, shape (N, n), rad/s or m/s, or None.
+        known_torque: external torques on the joints, shape (N, n), N m or N, or None.
+        feedforward: feed-forward added to the output of the controller, shape (N, n), by motor in
+            the unit of the recorded effort, or None.
+        payload: payload of the robot; None for no payload.
+        began: time at which the recording began; None if unknown.
+        off_grid: largest distance of a sample from the grid, in periods. If it is greater than
+            `ON_GRID`, samples are interpolated.
+        assumed: assumptions of a fit that replace missing values of the description, as warnings.
+        measured: mask, shape (N,), True where a sample was measured; others have zero weight. None:
+            all were measured.
+        unmeasured: how many samples were not measured and why, in words.
+        motion_hz: frequency above which positions contain only noise, Hz, if the description gives
+            no bandwidth; else None.
     """
 
     t_s: Array
@@ -108,17 +113,22 @@ class Signals:
             release_pages(array)
 
     def load(self) -> "Signals":
-        """Return the signals themselves, since they are read already."""
+        """Return the signals themselves, as `RecordingFile.load` does."""
         return self
 
     def with_gains_of(self, robot: Robot) -> "Signals":
-        """Return the same efforts by the drive gains of another description of the robot."""
+        """Return a copy whose efforts follow from the drive gains of another description.
+
+        Parameters
+        ----------
+        robot : the same robot with other drive gains.
+        """
         return replace(
             self, robot=robot, effort=robot.joint_effort(self.robot.motor_effort(self.effort))
         )
 
     def first(self, N: int) -> "Signals":
-        """Return the first N samples, copied: a view would hold all of them."""
+        """Return a copy of the first N samples, because a view would keep all of them in memory."""
         parts: dict[str, Any] = {
             name: np.array(of[:N])
             for name in (*COLUMNS, "measured")
@@ -128,15 +138,15 @@ class Signals:
 
     @property
     def of_drives(self) -> bool:
-        """True if efforts are objects of drives, which have internal loops."""
+        """True if the efforts are objects of drives, which have internal loops."""
         return ": object " in self.provenance
 
     @cached_property
     def torque(self) -> Array:
-        """Torque of the inverse dynamic model, (N, n): efforts of the drives plus external torques.
+        """Efforts plus external torques, shape (N, n), N m or N: the torque of the model.
 
-        It follows straight lines where it was not measured, because an edge would ring in the rows
-        beside it.
+        Samples that were not measured are interpolated linearly, because a step would ring in the
+        neighbouring rows.
         """
         tau = self.effort if self.known_torque is None else self.effort + self.known_torque
         if self.measured is None:

@@ -11,15 +11,26 @@ from ..errors import BadInputError
 
 
 class Work(NamedTuple):
-    """The place where functions run: `workers` processes, 1 for this one, or a Dask scheduler's
-    address.
+    """The processes in which tasks run.
+
+    Attributes:
+        workers: number of processes, 1 for the calling one; or the address of a Dask scheduler,
+            such as `tcp://HOST:8786`.
     """
 
     workers: int | str = 1
 
     def run(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """Return the result for each tuple of positional arguments; the error of a task is
-        raised.
+        """Call a function for each task, and yield the results in the order of the tasks.
+
+        Parameters
+        ----------
+        function : a function that can be pickled.
+        tasks : positional arguments of each call.
+
+        Raises
+        ------
+        BadInputError : the workers cannot be used, or end early. An error of a task is raised too.
         """
         if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))

@@ -60,28 +60,37 @@ CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
 
 
 class ExcitationSettings(ReferenceOptions):
-    """What a reference is designed for; the same `seed` gives the same one."""
+    """Settings of an exciting reference; the same `seed` gives the same reference.
+
+    Attributes:
+        period_s: period of the Fourier series, s.
+        harmonics: number of harmonics, at least 2.
+        periods: number of periods.
+        seed: seed of the random search.
+        limits_percent: share of each limit that may be used, percent.
+    """
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """A reference, and what is expected of it.
+    """An exciting reference, and the results that are expected from it.
 
     Attributes:
-        reference: one period.
-        sigma, plain: (b,) expected standard errors of the parameters; geometric mean of the same
-            with
-            plain references.
-        noise, noise_from: (n,) standard deviation of the torque in a row of the fit; its origin in
-            words.
-        limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
-        nearest: the smallest distance in m, and its pair of links, or link and ground; None without
+        base: base parameters, without load-dependent friction.
+        settings: settings of the design.
+        reference: one period of the reference.
+        sigma: expected standard errors of the parameters, shape (b,).
+        plain: geometric mean of those with plain references, shape (b,).
+        noise: standard deviation of the torque in a row of the fit, shape (n,).
+        noise_from: origin of `noise`, in words.
+        limits: limits of the robot.
+        used: largest share used of each limit, shape (L,); 1 is the whole limit.
+        nearest: smallest distance, m, and its pair of links, or link and ground; None without
             shapes.
-        beta: parameters for the torque; None if torque was not checked.
-        knowledge: from before the motion, with the origin of `beta`, and the payload carried in a
-            second recording.
-        gains: (n,) half-widths of the drive gains from both, in percent.
-        warnings: lines.
+        beta: parameters for the torque, shape (b,); None if the torque was not checked.
+        knowledge: prior information: origin of `beta`, earlier recordings, payload of a second run.
+        gains: expected half-widths of the drive gains after both runs, shape (n,), percent.
+        warnings: what was not checked, one line each.
     """
 
     base: BaseParameters
@@ -115,8 +124,12 @@ class Excitation:
         return NORMAL_QUANTILE * self.plain
 
     def curves(self) -> tuple[Array, Array, Array, Array | None]:
-        """Return times (N,) in s, positions, speeds and, if known, torque, each (N, n), of one
-        period.
+        """Return one period of the reference as curves.
+
+        Returns
+        -------
+        Times, shape (N,), s; positions, rad or m; speeds, rad/s or m/s; and torques, N m or N, or
+        None if unknown. The last three have the shape (N, n).
         """
         t_s = np.linspace(0.0, self.settings.period_s, CURVE_SAMPLES * self.settings.harmonics + 1)
         motion = self.reference.at(t_s)
@@ -127,11 +140,14 @@ class Excitation:
         )
 
     def write(self, path: Path) -> None:
-        """Write times in s and positions of all periods as a CSV for `robot-acquire record
-        --track`.
+        """Write the reference as a CSV for `robot-acquire record --track`.
 
-        Times are close enough for splines between them. The file is written completely or not at
-        all.
+        It contains the times in s and the positions in rad or m of all periods, dense enough for
+        splines. The file is written completely or not at all.
+
+        Parameters
+        ----------
+        path : file to write.
         """
         s = self.settings
         steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
@@ -151,13 +167,26 @@ def excite(
     place: str,
     say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:
-    """Design an exciting reference that makes the base parameters as identifiable as possible
-    within the limits.
+    """Design an exciting reference within the limits of the robot.
+
+    It minimises the standard errors of the base parameters relative to those of plain references.
+
+    Parameters
+    ----------
+    robot : the robot; all joints need limits.
+    settings : settings of the reference.
+    knowledge : prior information about the robot.
+    place : name of the description in errors.
+    say : called with a line of text at each step of the search.
+
+    Returns
+    -------
+    The reference with the expected intervals.
 
     Raises
     ------
-    BadInputError : the limits leave no reference, or the drives would not follow it or cannot
-        represent it.
+    BadInputError : a limit is missing, or the drives cannot follow the reference or represent it.
+    NoFitError : no reference within the limits is found.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
@@ -314,8 +343,9 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Itera
 
 
 def excitation_document(excitation: Excitation) -> Document:
-    """Make the report of a reference: expected intervals, in short the widest, and the limits that
-    it uses.
+    """Make the report of a reference: its expected intervals, and the limits that it uses.
+
+    The short form has the widest intervals only.
     """
     e, s = excitation, excitation.settings
     return Document(

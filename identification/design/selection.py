@@ -108,16 +108,16 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TermChoice:
-    """The sets of friction terms tried on recordings, best first, and the selected one.
+    """Sets of friction terms tried on recordings, best first, and the selected one.
 
     Attributes:
-        recordings: in the order given.
+        recordings: the recordings in the order given.
         overrides: settings of their fits.
         held_out: names of the parts held out: recordings, or fifths of one.
+        trials: the trials, best first.
         usual: the trial without added terms.
-        recommended: the smallest set that predicts nearly as well as the best.
-        left_out: unidentifiable terms, and recordings that the others cannot predict, one line
-            each.
+        recommended: the trial of the smallest set that predicts nearly as well as the best.
+        left_out: unidentifiable terms, and parts that the others cannot predict, one line each.
     """
 
     recordings: tuple[Signals, ...]
@@ -155,23 +155,23 @@ def select_friction(
     *,
     say: Callable[[str], None] = lambda text: None,
 ) -> TermChoice:
-    """Try sets of friction terms on a recording, or on several of one robot, in this process.
+    """Select friction terms by cross-validation: over recordings, or over fifths of a single one.
 
     Parameters
     ----------
-    signals : the recording, or several of one robot.
-    overrides : settings of the fits that replace those of the description.
+    signals : the recording, or several recordings of one robot.
+    overrides : settings that replace those of the description.
     say : called with a line of text for each step.
 
     Returns
     -------
-    The sets that were tried, best first, and the selected one.
+    The sets of terms that were tried, best first, and the selected one.
 
     Raises
     ------
-    NoFitError : recordings are too short or excite too little.
-    BadInputError : they are not of one robot, or fewer than two parts can be predicted by the
-        others.
+    NoFitError : the recordings are too short or excite too little.
+    BadInputError : the recordings are not of one robot, or fewer than two parts can be predicted by
+        the others.
     """
     recordings = tuple(
         source if isinstance(source, Signals) else source.load()

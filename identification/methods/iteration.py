@@ -35,15 +35,15 @@ MIN_F = 1.0  # first-stage F: instruments below it do not explain W
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """Settings of the iterations.
+    """Settings of the iterations of the instrumental variable method.
 
     Attributes:
-        start: `ls`; `regular` (unit inertias, which give a regular inertia matrix); or the name of
-            the source of `values`.
-        tolerance_percent: largest change that counts as converged; None for the key of robot.toml.
-        max_iterations: limit of the number of iterations; None for the key of robot.toml.
-        values: function that returns the base parameters (b,) to start from.
-        inertias: (n,) inertias of a regular start, kg m² or kg; None for ones.
+        start: initial parameters: `ls` (least squares), `regular` (unit inertias, which give a
+            regular inertia matrix), or the name of the source of `values`.
+        tolerance_percent: largest change at convergence, percent; None for the key of robot.toml.
+        max_iterations: largest number of iterations; None for the key of robot.toml.
+        values: function that returns the initial base parameters, shape (b,).
+        inertias: inertias of `regular`, shape (n,), kg m² or kg; None for ones.
         gain_update: True to adapt the controller gains to each estimate, equation (E).
     """
 

@@ -111,7 +111,25 @@ def identify_ls(
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
 ) -> Evidence:
-    """Identify by least squares, IDIM-LS, section 2 of Janot2014; parameters as of `identify`."""
+    """Identify the base parameters by least squares, IDIM-LS (Janot2014, section 2).
+
+    Parameters
+    ----------
+    signals : the recording, or several recordings of one robot.
+    overrides : settings that replace those of the description; `Overrides()` for none.
+    method : `wls`, weighted by joint, or `ols`, without weights.
+    essential : True to fit only the essential parameters.
+    say : called with a line of text for each step.
+
+    Returns
+    -------
+    The fit; its status is `solved`.
+
+    Raises
+    ------
+    NoFitError : a recording is too short, or the recordings excite too little.
+    BadInputError : the recordings are not of one robot, or a setting is out of range.
+    """
     return identify(signals, overrides, method=method, essential=essential, say=say)
 
 
@@ -123,7 +141,27 @@ def identify_iv(
     essential: bool = False,
     say: ProgressCallback = lambda text: None,
 ) -> Evidence:
-    """Identify by instrumental variables, IDIM-IV, section 3 of Janot2014; as of `identify`."""
+    """Identify the base parameters by instrumental variables, IDIM-IV (Janot2014, section 3).
+
+    Parameters
+    ----------
+    signals : the recording, or several recordings of one robot.
+    overrides : settings that replace those of the description; `Overrides()` for none.
+    iteration : start and end of the iterations; `Iteration()` for the defaults.
+    essential : True to fit only the essential parameters.
+    say : called with a line of text for each step.
+
+    Returns
+    -------
+    The fit; its status is `converged` only if two iterations agree and the robot simulated with the
+    estimate follows the recording, or if the instruments from the reference suffice.
+
+    Raises
+    ------
+    NoFitError : a recording is too short, the recordings excite too little, or the first iteration
+        gives no estimate.
+    BadInputError : the recordings are not of one robot, or a setting is out of range.
+    """
     return identify(
         signals, overrides, method="iv", iteration=iteration, essential=essential, say=say
     )

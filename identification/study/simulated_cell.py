@@ -65,31 +65,51 @@ PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
 
 
 class Noise(CellOptions):
-    """Noise of a simulated cell; the controller sees encoder counts and noise,
-    coloured noise is AR(0.98).
+    """Noise of a simulated recording; none by default.
 
-    The torque is recorded as the mean of the control periods before and after its instant,
-    like a drive's filter.
+    The controller sees the position with encoder steps and noise. The recorded torque is the mean
+    of the control periods before and after its instant, as after the filter of a drive.
+
+    Attributes:
+        encoder_step: step of the encoder, rad or m.
+        position: noise of the encoder, rad or m rms.
+        effort_percent: white noise of the recorded torque, percent of each joint's rms torque.
+        coloured_percent: coloured noise, AR(0.98), of the recorded torque, percent of each joint's
+            rms torque.
+        lag_samples: delay of the recorded torque, samples.
     """
 
     @property
     def text(self) -> str:
-        """The fields that are not zero."""
+        """The noise in words."""
         return (
             ", ".join(f"{name} {value:g}" for name, value in vars(self).items() if value)
             or "no noise"
         )
 
     def seen(self, drawn: Array, q: Array, at: int | slice = slice(None)) -> Array:
-        """Return readings of positions q (N, n), or (n,) of one instant, with noise drawn (N, n)
-        and in steps of the encoder.
+        """Return the positions that the encoder reads.
+
+        Parameters
+        ----------
+        drawn : noise of all samples, shape (N, n), rad or m.
+        q : positions, shape (N, n), or (n,) at one instant, rad or m.
+        at : rows of `drawn` for `q`.
         """
         q, step = q + drawn[at], self.encoder_step
         return np.asarray(np.rint(q / step) * step) if step else q
 
     def on_effort(self, held: Array, seed: int) -> Array:
-        """Return recorded torques (N, n) from the controller's torques, which are held from sample
-        to sample.
+        """Return the recorded torques.
+
+        Parameters
+        ----------
+        held : torques of the controller, shape (N, n), N m or N, held from sample to sample.
+        seed : seed of the noise.
+
+        Returns
+        -------
+        Recorded torques, shape (N, n), N m or N.
         """
         rows, last = np.arange(len(held)), np.zeros((1, held.shape[1]))
         streams = [np.random.default_rng([seed, k]) for k in (_EFFORT, _COLOURED)]

@@ -40,8 +40,14 @@ FORMATS = ("d", ".3f", ".1f", ".2f", "d", "d")
 
 @dataclass(frozen=True, kw_only=True)
 class Study(StudyOptions):
-    """Number, length, rate and noise of the simulated recordings; the seed of each
-    follows from its number.
+    """Settings of simulated recordings; the seed of each follows from `seed` and its number.
+
+    Attributes:
+        runs: number of recordings.
+        duration_s: length of a recording, s.
+        sample_rate_hz: sample rate, Hz.
+        seed: seed of the random references and of the noise.
+        noise: noise of the simulated measurements.
     """
 
     noise: Noise = field(default_factory=Noise)
