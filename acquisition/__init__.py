@@ -1,7 +1,7 @@
-"""Records joint positions and current references of industrial drives into MCAP files.
+"""Recording of joint positions and current references of industrial drives into MCAP files.
 
-The rooms, lowest first. Other rooms use only what a room's `__init__` exports;
-imports only run down::
+The subpackages, lowest first. Each one imports only lower ones, and only what their `__init__`
+exports::
 
     files        atomic writing, columns of tables, meshes of a URDF, large arrays on disk
     protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO,
@@ -11,13 +11,13 @@ imports only run down::
     recording    the MCAP format, frames decoded to samples at SYNC, ROS messages
     bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat,
                  stop of all drives
-    simulated    simulated drives, the plants they move, dry runs
-    session      the loop that sends: record, enable, track, stop; guards; the recorder's
-                 process with the second stop
-    importing    recordings from tables, ROS 2 bags and CAN logs; export
+    simulated    simulated drives, the plants that they move, dry runs
+    session      the loop that sends: record, enable, track, stop; guards; the process of the
+                 recorder with the watchdog
+    importing    recordings from tables, ROS 2 bags, CAN logs and EtherCAT captures; export
     commands     the command line
 
-The most used names are imported here on first use:
+The names that are used most are imported at their first use:
 
 >>> import acquisition
 >>> samples = acquisition.read_recording("log.mcap").samples

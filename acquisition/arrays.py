@@ -9,5 +9,5 @@ Bools = NDArray[np.bool_]
 
 
 def first_true(x: Bools) -> int | None:
-    """Return the first place of x (N,) that is true; None without one."""
+    """Return the first index at which x (N,) is true; None if there is none."""
     return int(np.argmax(x)) if x.any() else None

@@ -11,8 +11,8 @@ _MAX_VALUE_LENGTH = 80  # files may contain anything
 
 
 def one_line(text: str) -> str:
-    """`text` without line breaks and control characters, which quoted file names
-    and contents may have.
+    """Return `text` without line breaks and control characters, which file names and contents may
+    have.
     """
     return "".join(
         c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split())
@@ -20,22 +20,23 @@ def one_line(text: str) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """The expected names for an error; of many, the first 30."""
+    """List the expected names for an error; of many names, the first 30."""
     shown = ", ".join(names[:30])
     return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"
 
 
 def holding(texts: Mapping[str, object]) -> list[str]:
-    """The texts whose condition holds."""
+    """Return the texts whose condition is true."""
     return [text for text, holds in texts.items() if holds]
 
 
 class HeldBack(AbstractContextManager["HeldBack"]):
-    """Hold back whatever is raised inside its blocks, so that the next step of a stop is taken.
+    """Context manager of the steps of a stop: it holds back what a step raises, so that the next
+    step is taken.
 
     Attributes:
-        interrupt: the first KeyboardInterrupt or SystemExit, to be raised after the stop.
-        problem: the first other error but `RobotIdimError`, in words; empty without one.
+        interrupt: the first KeyboardInterrupt or SystemExit, raised after the stop.
+        problem: the first other error except `RobotIdimError`, in words; empty without one.
     """
 
     def __init__(self) -> None:
@@ -56,31 +57,32 @@ class HeldBack(AbstractContextManager["HeldBack"]):
 
 
 class RobotIdimError(Exception):
-    """Whatever ends a command or a call of both packages in one line::
+    """An error of both packages, with a message of one line::
 
         RobotIdimError
           BadInputError    a file, a key, an option or an argument is not what it has to be
           NoFitError       the recordings do not determine an estimate
-          RefusedError     not done because it is not safe: `what`, `why`
+          RefusedError     an action is refused because it is not safe: `what`, `why`
           BusFaultError    the bus, a drive or the recorder failed
             NoAnswerError    a `node` did not answer in time
             SdoAbortedError  a `node` refused an access to an `index`, with the abort `code` of
                              CiA 301
 
-    The message is `place: key = value: text: expected .... Advice (arguments).`, without the
-    parts not given. Texts not given are empty.
+    The message is `place: key = value: text: expected .... Advice (arguments).`, without the parts
+    that are not given. These are empty texts.
 
     Attributes:
-        text: what is wrong, a fact.
+        text: what is wrong, as a fact.
         place: the file, the node, or a position in it.
         key: the wrong key, such as `joint[0].name`, or argument, such as `speed`.
         value: the value found at `key`; None if it is missing or not given.
         expected: the type, set or range of the values of `key`.
-        advice: what to do, an imperative.
-        arguments: the arguments of Python that the advice needs. The command line names their
-            options instead.
+        advice: what to do, as an imperative.
+        arguments: the Python arguments that the advice needs. The command line shows their options
+            instead.
 
-    `shown` replaces the `repr` of the value in the message, such as a hexadecimal number.
+    The argument `shown` replaces the `repr` of the value in the message, e.g. by a hexadecimal
+    number.
     """
 
     def __init__(
@@ -108,7 +110,7 @@ class RobotIdimError(Exception):
         super().__init__(text)
 
     def message(self, options: Mapping[str, str] | None = None) -> str:
-        """Return the message in one line; `options` gives the option of an argument by its name."""
+        """Return the message in one line; `options` maps arguments to options."""
         key = self.key if self.place else (options or {}).get(self.key, self.key)
         expected = self.expected and f"expected {self.expected}"
         what = ": ".join(filter(None, (self.place, key and key + self._found, self.text, expected)))
@@ -124,13 +126,11 @@ class BadInputError(RobotIdimError):
 
 
 class NoFitError(RobotIdimError):
-    """The recordings do not determine an estimate, or no reference determines
-    one within the limits.
-    """
+    """The recordings do not determine an estimate, or no reference within the limits does."""
 
 
 class RefusedError(RobotIdimError):
-    """What is not done because it is not safe: `what` (`motion`, `sending`), and `why`."""
+    """An action that is refused because it is not safe: `what` (`motion`, `sending`), and `why`."""
 
     def __init__(self, why: str, *, what: str, **data: Any) -> None:
         super().__init__(why, **data)
@@ -142,7 +142,7 @@ class BusFaultError(RobotIdimError):
 
 
 class NoAnswerError(BusFaultError):
-    """A `node` did not answer a request in time, or not what was asked."""
+    """A `node` did not answer a request in time, or its answer did not fit."""
 
     def __init__(self, text: str, *, node: int, **data: Any) -> None:
         super().__init__(text, **data)
@@ -150,8 +150,8 @@ class NoAnswerError(BusFaultError):
 
 
 class SdoAbortedError(BusFaultError):
-    """A `node` refused an access to an `index` with the abort `code` of CiA
-    301; `meaning` in words.
+    """A `node` refused an access to an `index` with the abort `code` of CiA 301; `meaning` in
+    words.
     """
 
     def __init__(self, meaning: str, *, node: int, index: int, code: int, **data: Any) -> None:
@@ -161,7 +161,7 @@ class SdoAbortedError(BusFaultError):
 
 @dataclass(frozen=True)
 class Location:
-    """A file, or a `table` of it, for errors about its content."""
+    """A file, or a `table` in it, for errors about its content."""
 
     name: str
     table: str = ""
@@ -170,7 +170,7 @@ class Location:
         return self.name
 
     def at(self, table: str) -> "Location":
-        """A table of this place."""
+        """Return the location of a table in this one."""
         return Location(self.name, f"{self.table}.{table}".lstrip("."))
 
     def refuse(
@@ -197,7 +197,7 @@ class Location:
         expected: str = "",
         **texts: Any,
     ) -> None:
-        """Raise as `refuse` unless a condition holds."""
+        """Raise as `refuse` unless a condition is true."""
         if not holds:
             self.refuse(key, value, expected, **texts)
 
@@ -209,7 +209,7 @@ class Location:
         expected: str = "",
         **texts: Any,
     ) -> T:
-        """Return what was found; raise as `refuse` if that is None."""
+        """Return `found`; raise as `refuse` if it is None."""
         if found is None:
             self.refuse(key, value, expected, **texts)
         return found

@@ -1,7 +1,7 @@
 """Files: their kinds, atomic writing, tables (CSV, MAT), meshes of a URDF, arrays on disk.
 
-It owns how bytes get from and to the disk, whole or not at all, and knows nothing of robots.
-It may use `errors` and `arrays`.
+It owns the way of bytes from and to the disk, whole or not at all, and contains nothing about
+robots. It may use `errors` and `arrays`.
 """
 
 from .meshes import MESHES, find_mesh, read_meshes

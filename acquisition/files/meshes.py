@@ -11,9 +11,17 @@ MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
-    """Content of the meshes of a URDF's visual shapes, by name; `folder`: of the URDF.
+    """Read the meshes of a URDF's visual shapes, by name.
 
-    Refuses what is missing or too large.
+    Parameters
+    ----------
+    urdf : content of the URDF.
+    folder : folder of the URDF.
+    place : name of the description in errors.
+
+    Raises
+    ------
+    BadInputError : a mesh is missing, or all of them exceed `MAX_MESH_BYTES`.
     """
     at = Location(place)
     try:
@@ -47,11 +55,11 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
 
 
 def find_mesh(name: str, folder: Path | None = None) -> Path | None:
-    """The mesh file that a URDF names; None if it does not exist or has an unknown format.
+    """Find the mesh file that a URDF names; None if it does not exist or has an unknown format.
 
     A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`.
-    Packages are searched in the folder of the URDF, in those above it, and in `ROS_PACKAGE_PATH`
-    and `AMENT_PREFIX_PATH`.
+    Packages are searched in the folder of the URDF, in the folders above it, and in
+    `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`.
     """
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")

@@ -1,5 +1,5 @@
-"""Memory-mapped temporary arrays and bytes, for data that are too large for memory, and what
-computes them block by block.
+"""Memory-mapped temporary arrays and bytes, for data that exceed the memory, and functions that
+process them block by block.
 """
 
 import mmap
@@ -18,8 +18,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 
 class GrowingBytes(tempfile.SpooledTemporaryFile[bytes]):
-    """Bytes that grow by `write`, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`,
-    in an unnamed temporary file. Raises `OSError` where the disk is full.
+    """Bytes that grow by `write`, in memory, or in an unnamed temporary file if they exceed an
+    eighth of `MAX_BYTES_IN_MEMORY`. `write` raises `OSError` if the disk is full.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class GrowingBytes(tempfile.SpooledTemporaryFile[bytes]):
         super().__init__(max_size=MAX_BYTES_IN_MEMORY // 8)
 
     def whole(self) -> bytes | mmap.mmap:
-        """All bytes; nothing may be written afterwards."""
+        """Return all bytes. Nothing may be written afterwards."""
         size = self.tell()
         if size <= MAX_BYTES_IN_MEMORY // 8:
             self.seek(0)
@@ -37,8 +37,18 @@ class GrowingBytes(tempfile.SpooledTemporaryFile[bytes]):
 
 
 def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) -> NDArray[Any]:
-    """An uninitialised array, in an unnamed temporary file if `many` of its size are larger
-    than `MAX_BYTES_IN_MEMORY`. Raises `OSError` where the disk is full.
+    """Allocate an uninitialised array, on disk if it is large.
+
+    Parameters
+    ----------
+    shape : shape of the array.
+    dtype : type of its elements.
+    many : number of such arrays that exist at the same time. If they exceed `MAX_BYTES_IN_MEMORY`
+        together, the array is in an unnamed temporary file.
+
+    Raises
+    ------
+    OSError : the disk is full.
     """
     size = np.dtype(dtype).itemsize * int(np.prod(shape))
     if many * size <= MAX_BYTES_IN_MEMORY:
@@ -50,8 +60,8 @@ def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) 
 
 
 def kept(x: NDArray[Kind]) -> NDArray[Kind]:
-    """An array that lives for long: copied to disk if it is larger than an eighth of
-    `MAX_BYTES_IN_MEMORY`; much memory that is freed in smaller parts is not returned.
+    """Copy an array that is used for a long time, to disk if it exceeds an eighth of
+    `MAX_BYTES_IN_MEMORY`. Memory that is freed in smaller parts is not returned to the system.
     """
     copy = allocate(x.shape, x.dtype, many=8)
     copy[...] = x
@@ -61,10 +71,17 @@ def kept(x: NDArray[Kind]) -> NDArray[Kind]:
 def by_rows(
     rule: Callable[..., NDArray[Any]], *arrays: NDArray[Any], beside: int = 0
 ) -> NDArray[Any]:
-    """`rule(*arrays)` block by block; of several blocks on disk if they are large.
+    """Compute `rule(*arrays)` block by block; a large result is on disk.
 
-    `arrays`: (N, ...), of which a row of the result (N - beside, ...) needs the same row and the
-    `beside` next ones.
+    Parameters
+    ----------
+    rule : function of blocks of all arrays.
+    arrays : (N, ...) each.
+    beside : number of next rows that a row of the result also needs.
+
+    Returns
+    -------
+    Array (N - beside, ...).
     """
     count = len(arrays[0]) - beside
     if count <= BLOCK_ROWS:
@@ -80,13 +97,13 @@ def by_rows(
 
 
 def taken(x: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Growing `rows` of x (N, ...), on disk if they are many."""
+    """Return the growing `rows` of x (N, ...), on disk if they are many."""
     return x if len(rows) == len(x) else by_rows(lambda part: x[part], rows)
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
-    """A field of rows; a copy on disk if the rows are larger than
-    `MAX_BYTES_IN_MEMORY`, made in one pass.
+    """Return a field of rows. If the rows exceed `MAX_BYTES_IN_MEMORY`, it is a copy on disk, made
+    in one iteration over them.
     """
     return (
         by_rows(lambda part: part[name], rows) if rows.nbytes > MAX_BYTES_IN_MEMORY else rows[name]
@@ -94,8 +111,8 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
 
 
 def release_pages(x: NDArray[np.generic]) -> None:
-    """Release the memory of an array in a temporary file; its pages are read
-    again on the next access.
+    """Release the memory of an array in a temporary file. Its pages are read again at the next
+    access.
     """
     base: object = x
     while isinstance(base, np.ndarray | memoryview):

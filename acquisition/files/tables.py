@@ -1,5 +1,5 @@
-"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the
-file; numbers as text.
+"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the file; numbers
+as text.
 """
 
 import io
@@ -27,22 +27,30 @@ _POINT = re.compile(r"(?:^|[;\t ])[-+]?\d*\.\d+(?:e[-+]?\d+)?(?:[;\t ]|$)", re.I
 
 
 def format_numbers(*values: float) -> str:
-    """Numbers with all digits, separated by blanks; rounding errors of zero become zero."""
+    """Format numbers with all digits, separated by blanks; rounding errors of zero become zero."""
     return " ".join(repr(float(x) if abs(x) > MAX_ROUNDING else 0.0) for x in values)
 
 
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
-    """(N, count) numbers of columns of a table, in the units of the file.
+    """Read columns of a table as numbers (N, count), in the units of the file.
 
-    `path`: CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab
-    or blanks, as in the first line; other commas are decimal ones. Lines that begin with # are
-    skipped, but the last one above the numbers may be the header; below it, lines without numbers
-    are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
-    `columns`: of a CSV file, names in the header line or numbers from 1. Of a MAT file,
-    variables, or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after
-    a name selects columns or rows, and one name may give several columns. Raises `BadInputError`
-    with the file and the line or row as `place`: it cannot be read, a column does not exist, or a
-    cell is not a finite number.
+    In CSV files cells are separated by comma, semicolon, tab or blanks, as in the first line; other
+    commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers
+    may be the header. Below the header, lines without numbers are skipped. In an export of TwinCAT
+    Scope the names of the channels are the header.
+
+    Parameters
+    ----------
+    path : CSV or MAT file (version 7 or older).
+    columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables,
+        or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name
+        selects columns or rows, and one name may give several columns.
+    count : number of columns in all.
+
+    Raises
+    ------
+    BadInputError : the file cannot be read, a column does not exist, or a cell is not a finite
+        number. `place` is the file and the line or row.
     """
     data, place, is_mat = _read(path)
     values, labels = (_mat_columns if is_mat else _csv_columns)(data, columns, count, place)
@@ -56,8 +64,13 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
 
 
 def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
-    """Write a CSV file of columns `names`, rows in `parts` (k, columns), atomically;
-    `read_columns` reads the same bits.
+    """Write a CSV file atomically; `read_columns` reads the same bits.
+
+    Parameters
+    ----------
+    path : file to write.
+    names : names of the columns.
+    parts : consecutive rows, (k, columns) each.
     """
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
@@ -67,9 +80,13 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
 
 @dataclass(frozen=True, kw_only=True)
 class TableColumn:
-    """A column: `key` for `read_columns`, its name in the header (empty without one).
+    """A column of a table.
 
-    `x`: its first numbers, nan for text. `texts`: of a column of texts, each that is in it.
+    Attributes:
+        key: name or number for `read_columns`.
+        name: name in the header; empty without one.
+        x: first numbers; nan for text.
+        texts: distinct texts of a column of texts.
     """
 
     key: str | int
@@ -79,9 +96,11 @@ class TableColumn:
 
 
 def scan_table(path: Path, rows: int) -> list[TableColumn]:
-    """The columns of a CSV or MAT file with their first `rows` numbers.
+    """Scan the columns of a CSV or MAT file, with their first `rows` numbers.
 
-    Raises `BadInputError` if the file cannot be read.
+    Raises
+    ------
+    BadInputError : the file cannot be read.
     """
     data, place, is_mat = _read(path)
     if is_mat:
@@ -102,7 +121,7 @@ def scan_table(path: Path, rows: int) -> list[TableColumn]:
 
 
 def _read(path: Path) -> tuple[bytes, Location, bool]:
-    """The bytes of a table, its place in errors, and whether it is a MAT file."""
+    """Return the bytes of a table, its place in errors, and whether it is a MAT file."""
     place = Location(str(path))
     data = read_bytes(path)
     place.require(
@@ -116,8 +135,10 @@ def _read(path: Path) -> tuple[bytes, Location, bool]:
 def _parse_csv(
     data: bytes, place: Location
 ) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
-    """Names, whether there is a header, separator (None: blanks), rows with their line numbers,
-    decimal commas as points.
+    """Split a CSV file into names and rows.
+
+    Returns the names, whether there is a header, the separator (None: blanks), and the rows with
+    their line numbers. Decimal commas become points.
     """
     text = data.decode(  # UTF-16 has a byte order mark
         "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig", errors="replace"
@@ -227,7 +248,7 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Loc
 def _mat_columns(
     data: bytes, names: Sequence[str | int], count: int, place: Location
 ) -> tuple[Array, list[str]]:
-    """The named parts of a MAT file as columns (N, count), and a label for each column."""
+    """Return the named parts of a MAT file as columns (N, count), and a label for each column."""
     # Matrices may be samples by joints or joints by samples: the number of samples is the one that
     # gives all parts the same length and `count` columns in all.
     matches = [_NAME.fullmatch(str(name)) for name in names]
@@ -264,9 +285,9 @@ def _mat_columns(
 
 
 def _load(data: bytes, place: Location, names: Sequence[str] | None = None) -> dict[str, Any]:
-    """The variables with these names (default: all).
+    """Load the variables with these names (default: all).
 
-    Others are not read, since objects of MATLAB's classes cannot be.
+    Others are not read, because objects of MATLAB's classes cannot be read.
     """
     import scipy.io
 
@@ -281,7 +302,7 @@ def _load(data: bytes, place: Location, names: Sequence[str] | None = None) -> d
 
 
 def _walk(variables: dict[str, Any], path: str, place: Location) -> Any:
-    """The value of a dotted name; None if it does not exist."""
+    """Return the value of a dotted name; None if it does not exist."""
     top, *fields = path.split(".")
     value, at = variables.get(top), top
     for field in fields:
@@ -297,7 +318,9 @@ def _walk(variables: dict[str, Any], path: str, place: Location) -> Any:
 
 
 def _part(value: Any, match: re.Match[str], place: Location) -> tuple[Array, bool]:
-    """The matrix that a name selects, and whether the name states that its rows are samples."""
+    """Return the matrix that a name selects, and whether the name shows that its rows are
+    samples.
+    """
     name = match.string
     if (
         not isinstance(value, np.ndarray)
@@ -340,7 +363,7 @@ def _size(part: Array) -> str:
 
 
 def _present(data: bytes, place: Location) -> str:
-    """Names of a file's variables and of the fields of its structs, for an error."""
+    """Return the names of a file's variables and of the fields of its structs, for an error."""
     try:
         return listed([*_leaves(_load(data, place))])
     except BadInputError:  # scipy cannot skip objects of MATLAB's classes
@@ -348,7 +371,7 @@ def _present(data: bytes, place: Location) -> str:
 
 
 def _leaves(variables: dict[str, Any]) -> dict[str, Any]:
-    """The variables, and of structs the fields by their dotted names."""
+    """Return the variables, and for structs their fields by dotted name."""
     structs = {
         name: {f"{name}.{field}": value[field].flat[0] for field in value.dtype.names}
         for name, value in variables.items()
@@ -363,7 +386,9 @@ def _leaves(variables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _scan_mat(data: bytes, rows: int, place: Location) -> list[TableColumn]:
-    """Vectors and columns of matrices, of the length that most variables have, and texts."""
+    """Return vectors and columns of matrices with the length that most variables have, and
+    texts.
+    """
     leaves = {name: np.squeeze(value) for name, value in _leaves(_load(data, place)).items()}
     numbers = {name: np.atleast_2d(x) for name, x in leaves.items() if x.dtype.kind in "fiu"}
     lengths = [max(x.shape) for x in numbers.values() if x.ndim == 2]

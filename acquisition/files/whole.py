@@ -1,5 +1,7 @@
-"""Whole files: their bytes, and their kinds by these; writing under a temporary name, which is
-renamed when the file is complete. It replaces only a file of its own kind.
+"""Whole files: their bytes, and their kinds by these bytes; atomic writing.
+
+A file is written under a temporary name and renamed when it is complete. It replaces only a file of
+its own kind.
 """
 
 import os
@@ -41,7 +43,7 @@ _HEAD_BYTES = 1 << 20  # a comment may stand above
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of a file. Raises `BadInputError` if it cannot be read."""
+    """Read a file. Raise `BadInputError` if that fails."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -49,8 +51,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def kind_of(path: Path) -> str:
-    """The kind of a file by its first bytes: `mcap`, `json` of a result, `toml` of a robot, `urdf`
-    and others; empty for those that are not written here. A damaged recording is one by its ending.
+    """Return the kind of a file by its first bytes: `mcap`, `json` of a result, `toml` of a robot,
+    `urdf` and others; empty for kinds that are not written here.
+
+    A damaged recording is recognised by its ending.
     """
     head = b""
     with suppress(OSError), path.open("rb") as file:
@@ -62,18 +66,21 @@ def kind_of(path: Path) -> str:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording, by its ending or its first bytes."""
+    """Test for a recording, by the ending or the first bytes of the file."""
     return path.suffix.lower() == ".mcap" or kind_of(path) == "mcap"
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block
-    ends without an exception.
+    """Yield a temporary path beside `path`; rename it to `path` if the block ends without an
+    exception.
 
-    On an exception the partial file is removed, and an earlier file at `path` is left as it was.
-    Raises `BadInputError` if `path` is a folder, a device or a file of another `kind_of` content,
-    its folder is missing or not writable, or the disk is full.
+    After an exception the partial file is removed, and an earlier file at `path` remains.
+
+    Raises
+    ------
+    BadInputError : `path` is a folder, a device or a file of another `kind_of` content, its folder
+        is missing or not writable, or the disk is full.
     """
     place = Location(str(path))
     place.require(path.name, text="the path has no file name")
@@ -99,7 +106,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text, whole or not at all. Raises as `atomic_write`."""
+    """Write a text, whole or not at all. Raise as `atomic_write`."""
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
@@ -111,13 +118,22 @@ def refuse_clash(
     option: str = "output",
     of_kinds: Mapping[str, Path | None] | None = None,
 ) -> None:
-    """Raise `BadInputError` if writing one of `outputs` or `of_kinds` would replace one of
-    `inputs`, another output, a recording, or a file of another kind than the output's.
+    """Refuse outputs that would replace an input, another output, a recording, or a file of another
+    kind.
 
-    None stands for a file that was not asked for. Links to one file count as that file.
-    `overwrite`: whether recordings may be replaced, by the option of that name; None if a command
-    does not have it. `option` is the argument of the output. `of_kinds` are outputs by their kind,
-    which is the ending of the other `outputs`.
+    Links to one file count as that file. None is a file that was not requested.
+
+    Parameters
+    ----------
+    inputs : files that are read.
+    outputs : files to write; their endings show their kinds.
+    overwrite : whether recordings may be replaced; None if the command has no such option.
+    option : argument that names the output, for errors.
+    of_kinds : outputs by their kind.
+
+    Raises
+    ------
+    BadInputError : an output would replace such a file.
     """
     named = [
         *((path.suffix.lower()[1:], path) for path in outputs if path is not None),
@@ -147,7 +163,7 @@ def refuse_clash(
 
 
 def _refuse_other_kind(path: Path, kind: str) -> None:
-    """Raise `BadInputError` if a file exists that is not empty and not of this kind."""
+    """Refuse to replace a file that is not empty and not of this kind."""
     if path.is_file() and path.stat().st_size and (found := kind_of(path)) != kind:
         Location(str(path)).refuse(
             text=f"the file already exists and is {NAMES[found]}, not {NAMES[kind]}",

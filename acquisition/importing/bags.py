@@ -1,4 +1,4 @@
-"""Imports the joint states of a ROS 2 bag into a recording."""
+"""Import of the joint states of a ROS 2 bag into a recording."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -44,7 +44,7 @@ _WAYS_OUT = (
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is that of a ROS 2 bag: a folder, .db3, or .mcap with the profile of ROS 2."""
+    """Test for a ROS 2 bag: a folder, .db3, or .mcap with the profile of ROS 2."""
     if path.suffix.lower() == ".mcap" and path.is_file():
         with path.open("rb") as file:  # magic, op code and length of the header, its profile
             return b"ros2" in file.read(32)
@@ -53,11 +53,15 @@ def is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class BagOptions:
-    """Topic of the joint states; unit of the effort, one or one for each joint; rate of the grid.
+    """Options of the import of a bag.
 
-    N m and N are at the joints; A, V and their fractions are of the motors, in the order of the
-    joints. Without a rate that of the stamps is taken, rounded within their scatter; without a
-    topic the only one of joint states, and as the reference the only one of a controller.
+    Attributes:
+        effort_unit: unit of the effort, one or one per joint. N m and N are at the joints; A, V and
+            their fractions are at the motors, in the order of the joints.
+        topic: topic of the joint states; by default the only one.
+        reference_topic: topic of a controller with the reference; by default the only one.
+        resample_hz: rate of the grid in Hz; by default that of the timestamps, rounded within their
+            scatter.
     """
 
     effort_unit: Sequence[str]
@@ -69,16 +73,27 @@ class BagOptions:
 def import_bag(
     bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names.
+    """Write the recording `out` from joint states of a ROS 2 bag; joints are identified by their
+    names.
 
-    Times are the headers' stamps, or those of reception if headers have none; values are
-    interpolated to a uniform grid. The recording states that efforts were measured at these times,
-    because a JointState has no commands. The reference is of a trajectory controller's states.
-    `bag`: a folder, .mcap or .db3; `payload`: what the robot carried. States at the start are left
-    out as long as a position or an effort is nan: drivers publish it until they have read one.
+    Times are the timestamps of the headers, or reception times if headers have none. Values are
+    interpolated to a uniform grid. The recording says that efforts were measured at these times,
+    because a JointState has no commands. The reference comes from the states of a trajectory
+    controller. States at the start are left out as long as a position or an effort is nan: drivers
+    publish nan until they have read a value.
 
-    Raises `BadInputError` before anything is written: the bag or its topic cannot be read, efforts
-    are missing, zero, not finite or not in units of robot.toml, stamps have gaps or do not grow.
+    Parameters
+    ----------
+    bag : a folder, .mcap or .db3.
+    robot : the robot, whose joints have the names of the messages.
+    out : the recording to write.
+    options : topics, units and rate.
+    payload : what the robot carried.
+
+    Raises
+    ------
+    BadInputError : the bag or its topic cannot be read; efforts are missing, zero, not finite or
+        not in units of robot.toml; or timestamps have gaps or do not grow. Nothing is written then.
     """
     joints = [joint.name for joint in robot.joints]
     position_side(robot, "joint", "position", Location(str(bag)))
@@ -138,8 +153,9 @@ def import_bag(
 def _only_controller(
     controllers: Mapping[str, JointStates], joints: Sequence[str], place: Location
 ) -> str | None:
-    """Topic of the controller of all joints; of one that lacks some if there is no
-    other, None without any.
+    """Return the topic of the only controller of all joints.
+
+    Without one, return that of a controller that lacks some joints, or None.
     """
     found = [topic for topic, states in controllers.items() if {*joints} <= {*states.names}]
     place.require(
@@ -154,8 +170,8 @@ def _only_controller(
 def _with_reference(
     grid: GridValues, states: JointStates, received: bool, topic: str
 ) -> tuple[GridValues, str]:
-    """The part of the grid within the times of a controller's states, with its
-    reference; what was done.
+    """Add the reference of a controller to the part of the grid within the times of its states;
+    also return what was done.
     """
     stamps_ns, own_received, own, _ = states.states(topic)
     states.place.require(
@@ -198,7 +214,10 @@ def _with_reference(
 def _effort(
     robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Location
 ) -> tuple[Array, str, str]:
-    """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
+    """Convert the efforts of a bag, which does not contain their unit, to the joints.
+
+    Returns joint efforts (N, n), their origin, and unit and side.
+    """
     advice = "Record a topic with measured torques or currents"
     effort = place.given(effort, text="the messages contain no efforts", advice=advice)
     place.require(
@@ -228,7 +247,7 @@ def _effort(
 
 
 def _storage(path: Path) -> Path:
-    """The only file of a folder without metadata.yaml (of a record that was killed), or `path`."""
+    """Return the only file of a folder without metadata.yaml (of a killed recorder), or `path`."""
     files = (
         sorted(x for x in path.iterdir() if x.suffix.lower() in SUFFIXES)
         if path.is_dir() and not (path / "metadata.yaml").exists()
@@ -246,7 +265,9 @@ def _storage(path: Path) -> Path:
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
 ) -> tuple[JointStates, dict[str, JointStates], str]:
-    """Joint states of the `joints` in the bag's order, controllers' by topic; the topic read."""
+    """Read the joint states of a bag, those of controllers by topic, and the topic that was
+    chosen.
+    """
     wanted, parts = options.reference_topic, JointStates(joints, Location(str(path)))
     try:
         from rosbags.highlevel import AnyReader
@@ -293,7 +314,7 @@ def _read(
 
 
 def _topic_of(kind: str, topic: str, types: dict[str, str], place: Location) -> str:
-    """The topic, by default the only one of its kind."""
+    """Choose the topic, by default the only one of its kind."""
     found = [name for name, own in types.items() if own == kind]
     if topic in found or (not topic and len(found) == 1):
         return topic or found[0]

@@ -1,6 +1,6 @@
-"""What captures hold: packets of pcap and pcapng files, and the EtherCAT datagrams in them, some
-thousands at a time; and what these show of the slaves: stations, sync managers, FMMUs, and the
-objects that they map (CoE).
+"""Content of captures: packets of pcap and pcapng files, and the EtherCAT datagrams in them, some
+thousands at a time; and what they reveal about the slaves: stations, sync managers, FMMUs, and the
+mapped objects (CoE).
 """
 
 import struct
@@ -51,7 +51,7 @@ _MAPPING = (INPUTS[1], OUTPUTS[1], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00
 
 
 class Packets(NamedTuple):
-    """Packets in their order: bytes; time in ns, first byte and length (n,)."""
+    """Packets in their order: their bytes; time in ns, first byte and length (n,) of each."""
 
     data: NDArray[np.uint8]
     time_ns: Ints
@@ -59,7 +59,9 @@ class Packets(NamedTuple):
     length: Ints
 
     def records(self, chosen: Ints) -> bytes:
-        """Some packets as records of pcap with nanoseconds, little-endian, without its head."""
+        """Format some packets as records of pcap with nanoseconds, little-endian, without its
+        head.
+        """
         time_ns, begin, length = self.time_ns[chosen], self.begin[chosen], self.length[chosen]
         heads = (
             np.stack([time_ns // 10**9, time_ns % 10**9, length, length], axis=1)
@@ -76,7 +78,7 @@ class Packets(NamedTuple):
 
 
 def is_capture(path: Path) -> bool:
-    """Whether a file begins as pcap or pcapng do."""
+    """Test whether a file begins as pcap or pcapng do."""
     with suppress(OSError), path.open("rb") as file:
         return (head := file.read(4)) == _BLOCKS or head in _RECORDS
     return False
@@ -85,8 +87,17 @@ def is_capture(path: Path) -> bool:
 def packets(
     file: BinaryIO, place: Location, warnings: list[str], max_back_ns: int
 ) -> Iterator[Packets]:
-    """The packets of Ethernet in an open file, in the order of their times where these step back by
-    at most so much; a file that is cut or damaged is read up to there, with a warning.
+    """Yield the Ethernet packets of an open file.
+
+    Packets are sorted by time where times step back by at most `max_back_ns`. A file that is
+    truncated or damaged is read up to there, with a warning.
+
+    Parameters
+    ----------
+    file : the capture.
+    place : name of the file in errors.
+    warnings : list to which warnings are added.
+    max_back_ns : largest step back of the times in ns.
     """
     data, at, before = file.read(24), 0, 0
     order, ns = _RECORDS.get(data[:4], ("<", 0))
@@ -146,8 +157,9 @@ def packets(
 
 
 def _in_order(found: Ints, most_ns: int) -> tuple[Ints, Ints]:
-    """Packets (n, 3), time first, in the order of their times where these step back by at most so
-    much; those at the end that packets not yet read may come before are the second ones.
+    """Sort packets (n, 3), time first, where times step back by at most `most_ns`.
+
+    Returns the sorted packets, and those at the end that packets not yet read may precede.
     """
     time_ns = found[:, 0]
     session = np.cumsum(np.diff(time_ns, prepend=time_ns[:1]) < -most_ns)
@@ -157,7 +169,7 @@ def _in_order(found: Ints, most_ns: int) -> tuple[Ints, Ints]:
 
 
 def _ticks(interface: bytes, order: str) -> int:
-    """Ticks per second of a pcapng interface; 0 if it is not of Ethernet."""
+    """Return the ticks per second of a pcapng interface; 0 if it is not of Ethernet."""
     link, option, ticks = struct.unpack_from(f"{order}H", interface)[0], 8, 10**6
     while option + 5 <= len(interface):
         code, size = struct.unpack_from(f"{order}HH", interface, option)
@@ -169,14 +181,15 @@ def _ticks(interface: bytes, order: str) -> int:
 
 
 def gather(data: NDArray[np.uint8], at: Ints, kind: str | np.dtype[Any]) -> NDArray[Any]:
-    """Values (m,) of a type that begin at bytes `at` (m,) of the data."""
+    """Read values (m,) of a type that begin at bytes `at` (m,) of the data."""
     kind = np.dtype(kind)
     return np.asarray(data[at[:, None] + np.arange(kind.itemsize)].view(kind)[:, 0])
 
 
 def datagrams(given: Packets) -> Block:
-    """All whole datagrams of EtherCAT frames, in VLANs and UDP too, in file order; `at`: the
-    first byte of their data.
+    """Find all whole datagrams of EtherCAT frames, including those in VLANs and UDP, in file order.
+
+    `at` is the first byte of their data.
     """
     data, end, at = given.data, given.begin + given.length, given.begin + 12
     for _ in range(2):
@@ -208,7 +221,7 @@ def datagrams(given: Packets) -> Block:
 
 
 def parse_mapping(texts: Sequence[str]) -> list[Entries]:
-    """Objects with their bits of each slave in `--mapping`."""
+    """Parse the objects with their bits of each slave from texts such as 0x6041:16,0x6064:32."""
     found = list[Entries]()
     for text in texts:
         try:
@@ -230,8 +243,14 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
 
 
 class Slaves:
-    """What datagrams of one direction wrote: stations in the order of the bus; by station
-    registers, mapping objects as `written`, and as `confirmed` by answers, if any is `answered`.
+    """State of the slaves by the datagrams of one direction.
+
+    Attributes:
+        registers: registers by station.
+        written: mapping objects as written, by station.
+        confirmed: mapping objects as confirmed by answers, by station.
+        answered: whether there was an answer.
+        problem: reason why a mapping is unknown; empty without one.
     """
 
     def __init__(self) -> None:
@@ -247,7 +266,7 @@ class Slaves:
         return [bytes(x) for x in self.registers.values() if any(x[_FMMUS:_MANAGERS])]
 
     def full_counter(self, command: int, address: int, length: int) -> int:
-        """The working counter of a datagram that all slaves answered."""
+        """Compute the working counter of a datagram that all slaves answered."""
         return sum(
             count
             for registers in self.mapped
@@ -260,7 +279,7 @@ class Slaves:
 
     @property
     def stations(self) -> list[int]:
-        """Those whose places are known, in the order of the bus; then the others."""
+        """Stations whose places are known, in bus order; then the others."""
         return list(
             dict.fromkeys(
                 [
@@ -271,7 +290,7 @@ class Slaves:
         )
 
     def take(self, command: int, address: int, data: bytes) -> bool:
-        """Whether a datagram changed what process data mean."""
+        """Process a datagram; return whether it changed the meaning of process data."""
         slave, register = address & 0xFFFF, address >> 16
         before = self._state(slave)
         if command == APWR and register == _STATION and len(data) == 2:
@@ -299,8 +318,9 @@ class Slaves:
         return confirmed or (first and bool(self.written)) or (rewritten and not self.answered)
 
     def _entries(self, station: int, way: Way) -> Entries:
-        """The objects that a slave maps, and their bits; none without a whole mapping, with the
-        `problem` where it has one.
+        """Return the objects that a slave maps, and their bits; none without a whole mapping.
+
+        `problem` gets the reason if it has one.
         """
         objects = (self.confirmed if self.answered else self.written)[station].values
         words = [
@@ -321,8 +341,8 @@ class Slaves:
         return bytes(self.registers.get(station, b"")), dict(self.written[station].values)
 
     def contradicts(self, other: "Slaves") -> int | None:
-        """A station of which the other direction has other contents or another
-        place; None without one.
+        """Find a station with other contents or another place in the other direction; None without
+        one.
         """
         ours, theirs = (
             [x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self))
@@ -337,9 +357,12 @@ class Slaves:
         )
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
-        """Inputs and outputs by station; `stated` inputs of slaves without a mapping.
+        """Locate inputs and outputs by station; `stated` gives the inputs of slaves without a
+        mapping.
 
-        Raises `ValueError`: lengths differ.
+        Raises
+        ------
+        ValueError : the lengths differ.
         """
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
         self.problem = ""
@@ -354,8 +377,8 @@ class Slaves:
 
 
 def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
-    """Logical address, physical address and bytes of the active FMMUs of a
-    way: 1 inputs, 2 outputs.
+    """Yield logical address, physical address and bytes of the active FMMUs of a way: 1 for inputs,
+    2 for outputs.
     """
     for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(
         registers[_FMMUS : _FMMUS + 256]
@@ -365,8 +388,8 @@ def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
 
 
 def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:
-    """Object, first byte and bytes of each of a row of entries; gaps and what is not in
-    whole bytes are left out.
+    """Yield object, first byte and bytes of consecutive entries, without gaps and parts of
+    bytes.
     """
     bit = 0
     for key, bits in entries:

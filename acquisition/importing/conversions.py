@@ -1,9 +1,9 @@
-"""Recordings from frames: of other recordings, also cut ones, and of CAN logs.
+"""Recordings from frames: those of other recordings, including truncated ones, and of CAN logs.
 
-Frames of a log are taken once each and in the order of their times. Loggers with a queue for each
-way write lines out of order, with right times: those are sorted. Where a counter of time wraps or
-the clock is set back, SYNC itself goes on below the time that it had reached: from there on times
-are shifted.
+Each frame of a log is used once, in the order of the times. Loggers with a queue per direction
+write lines out of order, with right times: these are sorted. If a time counter wraps or the clock
+is set back, SYNC itself continues below the time that it had reached: from there on times are
+shifted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,12 +52,21 @@ def import_recording(
     path: Path, out: Path, robot: Robot | None = None, place: str = ""
 ) -> ImportSummary:
     """Write a recording again: samples decoded from its frames, and everything before the
-    cut if it was cut off.
+    truncation if it is truncated.
 
-    Without `robot`, a corrected description with the name `place` in errors, samples of a cut
-    recording are copied if there are no frames, or if these do not decode. `out`, with the same
-    frames and events, is written whole or not at all. Raises `BadInputError`: there are no frames,
-    or they do not decode with these drives.
+    Without `robot`, samples of a truncated recording are copied if there are no frames, or if these
+    do not decode.
+
+    Parameters
+    ----------
+    path : the recording.
+    out : the recording to write, with the same frames and events, whole or not at all.
+    robot : a corrected description.
+    place : its name in errors.
+
+    Raises
+    ------
+    BadInputError : there are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
     if recording.cut and robot is None:
@@ -83,7 +92,7 @@ def import_recording(
 
 
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
-    """Write what was read of a recording that was cut off."""
+    """Write what was read of a truncated recording."""
     samples = recording.samples
     Location(str(path)).require(
         samples is not None or recording.frames or recording.capture,
@@ -111,7 +120,7 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
 
 
 def is_log(path: Path) -> bool:
-    """Whether the suffix of a file is that of a CAN log, or it begins as an EtherCAT capture."""
+    """Test for a CAN log by its suffix, or for an EtherCAT capture by its first bytes."""
     return path.suffix.lower() in SUFFIXES or is_capture(path)
 
 
@@ -123,14 +132,22 @@ def import_log(
     payload: Payload | None = None,
     mapping: Sequence[str] = (),
 ) -> ImportSummary:
-    """Write the recording `out`, whole or not at all, from another tool's CAN log, or an EtherCAT
-    capture with this `mapping`.
+    """Write a recording from another tool's CAN log, or from an EtherCAT capture.
 
-    `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are
-    used, such as "can0", or "1" for CAN 1 of Vector's and PCAN's files. The drives of `robot`,
-    whose description has the name `place` in errors, decode the frames; `payload` is what it
-    carried. Raises `BadInputError`: the log cannot be read, none of its frames are of the described
-    interface, its times begin again, or the frames do not decode.
+    Parameters
+    ----------
+    log : candump, ASC, BLF or TRC. If it has several interfaces, the frames of `bus.channel` are
+        used, such as "can0", or "1" for CAN 1 of Vector's and PCAN's files.
+    out : the recording to write, whole or not at all.
+    robot : the robot, whose drives decode the frames.
+    place : name of its description in errors.
+    payload : what the robot carried.
+    mapping : mapping of the slaves of an EtherCAT capture that does not contain it.
+
+    Raises
+    ------
+    BadInputError : the log cannot be read, none of its frames belong to this interface, its times
+        begin again, or the frames do not decode.
     """
     if is_capture(log):
         bus = resolve(robot, place)
@@ -159,8 +176,8 @@ def import_log(
 
 
 def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]:
-    """The frames of one bus in a log, and a warning about those left out: two buses would give two
-    samples for each SYNC.
+    """Return the frames of one bus in a log, and a warning about the others: two buses would give
+    two samples for each SYNC.
     """
     frames, others = read_log(path)
     names = {name: f"CAN {name}" if name.isdecimal() else name for name in frames}
@@ -185,11 +202,14 @@ def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]
 
 
 def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str, ...]]:
-    """Rows of `FRAME` (m,) in the order of their times, those of equal times in that of the file,
-    without echoes; and what the user has to know of it, one line each.
+    """Sort rows of `FRAME` (m,) by time, without echoes; also return warnings, one line each.
 
-    Wraps and steps back of the clock are taken out of the times. Raises `BadInputError`: the times
-    begin again, as those of two sessions in one file do.
+    Rows of equal times keep their order. Wraps and steps back of the clock are removed from the
+    times.
+
+    Raises
+    ------
+    BadInputError : the times begin again, as those of two sessions in one file do.
     """
     time_ns, warnings, rows = field_of(frames, "time_ns"), list[str](), frames
     if (np.diff(time_ns) < 0).any():
@@ -212,8 +232,8 @@ def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str
 
 
 def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
-    """Shift the times (m,) in place where they wrap, or the clock was set back by the SYNCs of
-    these rows; and say so.
+    """Shift the times (m,) in place where they wrap, or where the SYNCs in these rows show that the
+    clock was set back; yield what was done.
     """
     size = np.diff(time_ns)
     jumps = np.flatnonzero(np.abs(size) > min(_WRAPS) - _MAX_WRAP_NS)
@@ -239,8 +259,8 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
 
 
 def _echoes(frames: Block, bus: BusFile) -> Ints:
-    """Rows that were received and repeat one sent within a quarter of a period, equal in all else,
-    as echoes and requests do.
+    """Find received rows that repeat one sent within a quarter of a period and equal it in all
+    else, as echoes and requests do.
     """
     sent = frames["flags"] & SENT > 0
     rows = np.flatnonzero(
@@ -263,8 +283,8 @@ def _echoes(frames: Block, bus: BusFile) -> Ints:
 def _decode_checked(
     frames: Block, robot: Robot, name: str, place: str, told: tuple[str, ...] = ()
 ) -> Decoded:
-    """Samples from frames, without impossible positions; their warnings come after what is `told`
-    of the frames.
+    """Decode samples from frames, and refuse impossible positions. Their warnings come after
+    `told`, those about the frames.
     """
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)
@@ -281,7 +301,7 @@ def _decode_checked(
 
 
 def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:
-    """The fields of a header that describe the drives."""
+    """Return the fields of a header that describe the drives."""
     return {
         "robot": robot,
         "sample_rate_hz": 1.0 / bus.file.sync_period_s,

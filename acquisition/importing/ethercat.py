@@ -1,7 +1,8 @@
-"""Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles.
+"""Import of a capture of an EtherCAT bus in operation: frames → joint samples at the times of
+cycles.
 
-Nothing is ever sent. In each cycle the master's datagrams pass all slaves, which write their inputs
-to them, read their outputs and count in the working counter, and come back:
+Nothing is ever sent. In each cycle the master's datagrams pass all slaves and come back. The slaves
+write their inputs to them, read their outputs, and count in the working counter:
 
     captures        packets in the order of their times, and the datagrams in them; logical address
                     of each object that a slave maps, by its FMMUs and by CoE
@@ -9,8 +10,9 @@ to them, read their outputs and count in the working counter, and come back:
     this file       number of the cycle of each row, the time of each cycle
 
 1. **Cycles**: rows are late by delays of the capture, which do not last. So a row is no later than
-   the least of the next rows, counted in periods; a step of whole periods in that is cycles without
-   a row. The number of a delayed row is certain if those of the rows before and after it agree.
+   the earliest of the next rows, counted in periods; a step of whole periods in that is cycles
+   without a row. The number of a delayed row is certain if those of the rows before and after it
+   agree.
 2. **Times**: whole periods from a common start, the median over all rows.
 3. **Reference**: what a master sends in a cycle is the target that the drives have in the next one,
    so a row needs the row of the cycle before.
@@ -52,8 +54,9 @@ MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
-    """Number of the cycle of each row (m,), and whether it is certain: delays do not last,
-    late rows are consecutive.
+    """Number the cycles of rows at `time_ns` (m,), and return which numbers are certain.
+
+    Delays do not last, and late rows are consecutive.
     """
     number, certain, reached = (
         np.empty(len(time_ns), np.int64),
@@ -74,8 +77,8 @@ def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
 def _numbers(
     time_ns: Ints, period_ns: float, row: int, reached: float
 ) -> tuple[Ints, Bools, Array]:
-    """As `cycle_numbers`, and cycles without a row before each row, of which there
-    are `reached` at `row`.
+    """Number cycles as `cycle_numbers`; also return the cycles without a row before each row, of
+    which there are `reached` at `row`.
     """
     k = np.arange(len(time_ns))
     late = (time_ns - time_ns[0]) / period_ns - k
@@ -105,7 +108,7 @@ def _numbers(
 
 
 def _period_ns(time_ns: Ints) -> float:
-    """Between two cycles, by the median of steps over more and more rows."""
+    """Estimate the time between two cycles, by the median of steps over more and more rows."""
     period = float(np.median(np.diff(time_ns)))
     for ahead in (32, 1024):
         if period > 0 and len(time_ns) > ahead:
@@ -119,11 +122,23 @@ def import_capture(
 ) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
-    One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive
-    gain is known), at the joints, at the times of whole periods; `reference` is the target of the
-    cycle before. Frames are kept in the recording. Of the notes of `header`, `MAPPING_NOTE` has a
-    stated mapping where the capture begins after the mapping. Raises `BadInputError`: the file is
-    no capture, or it has no process data that come back, no mapping, or another period.
+    There is one row for each cycle with full working counters: rad or m, and N m or N (A or V if a
+    drive gain is unknown), at the joints, at the times of whole periods; `reference` is the target
+    of the cycle before. Frames are kept in the recording.
+
+    Parameters
+    ----------
+    file : the capture.
+    header : header of the recording. Its note `MAPPING_NOTE` has the mapping if the capture begins
+        after the bus was configured.
+    bus : the drives.
+    at : name of the file in errors.
+    out : the recording to write.
+
+    Raises
+    ------
+    BadInputError : the file is not a capture, no process data come back, or it has no mapping or
+        another period.
     """
     robot, warnings = header.robot, list[str]()
     process = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at)
@@ -156,8 +171,8 @@ def import_capture(
 
 
 def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
-    """Chosen rows with their stamps, some at a time; a row's target is that of the cycle before,
-    which the drive then had.
+    """Yield the chosen rows with their timestamps, some at a time; their targets are those of the
+    cycle before, which the drives had then.
     """
     for first in range(0, len(chosen), AT_ONCE):
         some = chosen[first : first + AT_ONCE]
@@ -173,8 +188,10 @@ def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> I
 def _on_grid(
     process: ProcessData, nominal_ns: int, at: Location, warnings: list[str]
 ) -> tuple[Block, Ints, Ints, str, bool]:
-    """Rows, the numbers and stamps of those whose cycle is certain; the report on the times;
-    whether there is a reference.
+    """Place the rows on the grid of cycles.
+
+    Returns the rows, the numbers and timestamps of those whose cycle is certain, the report on the
+    times, and whether there is a reference.
     """
     rows, clock = process.rows()
     if len(rows) < 4:

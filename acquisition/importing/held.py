@@ -1,8 +1,8 @@
 """Rows of a log that is faster than its robot: each repeats the row before until the next is new.
 
-A staircase spoils speeds before any filter or weight, so only rows with new positions are kept, at
-the instants of their source: logged within a period of the log after them. A coarse encoder repeats
-positions too, but where its joint is slow, and then steps by a quantum.
+A staircase spoils speeds before any filter or weight. So only rows with new positions are kept, at
+the instants of their source: the log has them within a period of the log after these. A coarse
+encoder repeats positions, too, but only where its joint is slow, and then steps by a quantum.
 """
 
 from collections.abc import Mapping
@@ -33,9 +33,23 @@ def grid_of_new_rows(
     rate_hz: float | None = None,
     largest_gap_periods: float | None = None,
 ) -> GridValues | None:
-    """Return the rows with new positions on a grid of their source's rate, or of a lower `rate_hz`;
-    None where the log is no faster. By growing times (N,) and values (N, n); other arguments and
-    errors as of `resample`.
+    """Return the rows with new positions on a grid of their source's rate.
+
+    Parameters
+    ----------
+    time_s : (N,) growing times in s.
+    parts : values (N, n) by name.
+    place : name of the log in errors.
+    rate_hz : a lower rate of the grid in Hz.
+    largest_gap_periods : longest accepted step, as in `resample`.
+
+    Returns
+    -------
+    The grid; None if the log is not faster than its robot.
+
+    Raises
+    ------
+    BadInputError : as `resample`.
     """
     q = parts[POSITION]
     if len(q) <= 4 * AHEAD or not (np.diff(time_s) > 0).all():
@@ -72,11 +86,12 @@ def grid_of_new_rows(
 
 
 def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:
-    """Times (K,) of rows whose source is even, and its rate, by when a log with rows every `log_s`
-    first has them, up to `log_s` late; those times and their mean rate where it is not even.
+    """Estimate the times (K,) of rows from a regular source, and its rate.
 
-    The rate is that at which the times have the same phase, sought at the beginning, where few
-    rates are to be told apart; each longer part then refines it.
+    A log with rows every `log_s` has them up to `log_s` late. If the source is not regular, return
+    the times at which the log has them, and their mean rate. The rate is that at which the times
+    have the same phase. It is sought at the beginning, where few rates must be distinguished; each
+    longer part then refines it.
     """
     since, apart = seen_s - seen_s[0], np.diff(seen_s)
     mean_hz = 1 / float(apart[apart < MAX_PAUSE * np.median(apart)].mean())
@@ -100,6 +115,6 @@ def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:
 
 
 def _alike(x: Array, new: Bools) -> bool:
-    """Whether x (N, n) changes hardly but where positions are `new` (N - 1,)."""
+    """Test whether x (N, n) hardly changes except where positions are `new` (N - 1,)."""
     changes = by_rows(lambda part: (np.diff(part, axis=0) != 0).any(axis=1), x, beside=1)
     return bool((changes & ~new).sum() <= MAX_ODD * changes.sum())

@@ -1,4 +1,4 @@
-"""The joint states of a topic, collected; refused where several publishers send them."""
+"""The joint states of a topic, collected; they are refused if several publishers send them."""
 
 from collections.abc import Sequence
 from typing import Any, NoReturn
@@ -24,7 +24,9 @@ MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
 class JointStates:
-    """Collects joint states. Messages of one publisher have one frame, and names of all joints."""
+    """Collector of joint states. Messages of one publisher have one frame, and names of all
+    joints.
+    """
 
     def __init__(self, joints: Sequence[str], place: Location) -> None:
         self._joints, self.place = list(joints), place
@@ -72,7 +74,7 @@ class JointStates:
         self._rows.write(row)
 
     def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
-        """Indices of the joints in messages of a source; None if it has none of them."""
+        """Return the indices of the joints in messages of a source; None if it has none of them."""
         names = source[1]
         missing = [joint for joint in self._joints if joint not in names]
         if len(missing) == len(self._joints) and self._joints:
@@ -93,8 +95,10 @@ class JointStates:
         Location(f"{self.place}: message {self.count}").refuse(text=problem, advice=advice)
 
     def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
-        """Stamps (N,) in ns of the headers, or of reception if headers have none (then True);
-        arrays (N, n); warnings.
+        """Return timestamps (N,) in ns, whether they are reception times, arrays (N, n), and
+        warnings.
+
+        Timestamps are reception times if headers have none.
         """
         if self.refused is not None:
             raise self.refused
@@ -197,11 +201,11 @@ def refuse_several_publishers(
 
 
 def _alternating_share(x: Array) -> Array:
-    """Share (n,) of windows of x (N, n) whose second differences have far more energy at the
-    Nyquist frequency than at half.
+    """Compute the share (n,) of windows of x (N, n) whose second differences have far more energy
+    at the Nyquist frequency than at half of it.
 
-    Rounded values sometimes alternate by one quantum, so several quanta are required. Values held
-    for a row, as of an encoder slower than the log, do not alternate.
+    Rounded values sometimes alternate by one quantum, so several quanta are required. Values that
+    are held for a row, as of an encoder slower than the log, do not alternate.
     """
     least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
     found = sum(
@@ -215,7 +219,7 @@ def _alternating_share(x: Array) -> Array:
 
 
 def _alternating(x: Array, least: Array) -> Array:
-    """Number (n,) of the windows in x (N + 2, n) that alternate."""
+    """Count the windows in x (N + 2, n) that alternate (n,)."""
     steps, windows = (
         np.diff(x, n=n, axis=0)[: len(x) - 2].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2)
     )

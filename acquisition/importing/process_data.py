@@ -56,7 +56,9 @@ class Part(NamedTuple):
 
 
 class ProcessData:
-    """Collects what configures the slaves, and the integers of the drives in process data."""
+    """Collector of the configuration of the slaves, and of the integers of the drives in process
+    data.
+    """
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Location) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
@@ -68,7 +70,7 @@ class ProcessData:
         self.short = self.doubled = 0
 
     def add(self, given: Packets) -> Ints:
-        """Add packets; the numbers of those of EtherCAT."""
+        """Add packets; return the numbers of those of EtherCAT."""
         found = datagrams(given)
         for one in found[
             np.isin(found["command"], WRITES)
@@ -121,7 +123,9 @@ class ProcessData:
         )
 
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
-        """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
+        """Extract rows of the datagrams of a part. A 32-bit time of a clock is below 2**32, and -1
+        is none.
+        """
         rows = np.empty(len(found), self._row(part))
         rows["packet"] = found["packet"] + self._packets
         rows["time_ns"] = given.time_ns[found["packet"]]
@@ -138,8 +142,8 @@ class ProcessData:
         return rows
 
     def _find_fields(self) -> dict[Part, Fields]:
-        """Where the drives' objects are, each in its `station` or the next slave with its position;
-        empty if not yet known.
+        """Find the drives' objects, each in its `station` or in the next slave with its position;
+        empty if they are not yet known.
         """
         self._why = "no mapping of inputs was captured"
         try:
@@ -170,7 +174,7 @@ class ProcessData:
         return {} if not whole else inputs | outputs if has_targets else inputs
 
     def _stations(self, objects: Mapping[int, tuple[Located, Located]]) -> Iterator[int]:
-        """Yield the slave of each drive, up to one whose inputs are not known."""
+        """Yield the slave of each drive, up to one whose inputs are unknown."""
         named = {file.station for file in self._bus.file.drive}
         free = [
             station for station, (inputs, _) in objects.items() if inputs and station not in named
@@ -194,7 +198,9 @@ class ProcessData:
         at: tuple[int, int],
         commands: tuple[int, int],
     ) -> None:
-        """Add where an object at an address, with its bytes, is in the datagrams seen most."""
+        """Add the place of an object, at an address and with its bytes, in the datagrams seen
+        most.
+        """
         (address, size), back = at, LRD in commands
         parts = [
             part
@@ -235,12 +241,13 @@ class ProcessData:
         return bool(self._slaves[True].written) and not self._slaves[True].answered
 
     def rows(self) -> tuple[Block, bool]:
-        """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each
-        cycle with full counters.
+        """Return rows of the cycles with full counters, and whether most have a time by distributed
+        clocks.
 
-        `known`: the target is the one that was sent in the cycle. Second, whether most rows have a
-        time by distributed clocks: the others are left out then. Segments of `AT_ONCE` rows are
-        joined, for long captures.
+        A row has timestamp, time by distributed clocks (-1: none), position, effort and target
+        (n,); `known` if the target is the one that was sent in the cycle. If most rows have a time
+        by distributed clocks, the others are left out. Segments of `AT_ONCE` rows are joined, for
+        long captures.
         """
         station = self._slaves[True].contradicts(self._slaves[False])
         self._place.require(
@@ -285,7 +292,7 @@ class ProcessData:
     def _joined(
         self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int
     ) -> Block:
-        """Rows of the packets from `first` to before `end`, from rows of parts near them."""
+        """Join rows of the packets from `first` to before `end`, from rows of parts near them."""
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
         rows = np.zeros(
@@ -318,15 +325,15 @@ class ProcessData:
         return rows[good & whole]
 
     def _full(self, part: Part, rows: Block) -> int:
-        """The full working counter: by FMMUs, else the highest that is no damage."""
+        """Return the full working counter: by FMMUs, or the highest that is not damage."""
         if self._slaves[True].mapped:
             return self._slaves[True].full_counter(part.command, part.address, part.size)
         count = sum(np.bincount(some["counter"], minlength=2**16) for some in in_parts(rows))
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
     def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
-        """Rows without those whose stamps others contradict or that repeat one within half a
-        period; packets of the latter.
+        """Remove rows whose timestamps do not fit others, or that repeat one within half a period;
+        also return the packets of the latter.
         """
         time_ns = rows["time_ns"]
         again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2
@@ -339,7 +346,7 @@ class ProcessData:
         return rows[in_order], rows["packet"][1:][again]
 
     def refuse_no_rows(self) -> NoReturn:
-        """Say what is missing in the capture."""
+        """Raise an error about what is missing in the capture."""
         shown = listed(
             [
                 f"{_NAMES[part.command]} of {part.size} bytes at 0x{part.address:X}"
@@ -364,8 +371,9 @@ class ProcessData:
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
-    """For each row the other one of its cycle, and whether that is certain: of its packet, or
-    near and both regular.
+    """Find for each row the other one of its cycle.
+
+    Also return whether that is certain: both are in one packet, or near each other and regular.
     """
     if not (len(main) and len(other)):
         return np.zeros(len(main), np.int64), np.zeros(len(main), np.bool_)
@@ -386,8 +394,10 @@ def _regular(time_ns: Ints, period: int) -> Bools:
 
 
 def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
-    """For each row what was sent last before, and whether it is of this cycle: after the row
-    before, as long ago as usual.
+    """Find for each row what was sent last before it.
+
+    Also return whether that is of this cycle: it was sent after the row before, as long ago as
+    usual.
     """
     index = np.searchsorted(sent["packet"], main["packet"], "right") - 1
     if not (len(main) and len(sent)):

@@ -1,4 +1,6 @@
-"""Proposes the map.toml of a table by its header and first rows; `FILL IN` marks what is open."""
+"""Proposal of the map.toml of a table, by its header and first rows; `FILL IN` marks what is
+open.
+"""
 
 import json
 import re
@@ -29,8 +31,13 @@ MIN_MOTION = 1e-2  # of a position that moves, in any unit
 
 @dataclass(frozen=True, kw_only=True)
 class _Column(TableColumn):
-    """A column, its words by kind, what else its name has (a joint's number or name), its stated
-    unit; the joint that a column of names has for its number.
+    """A column of a table, with the parts of its name.
+
+    Attributes:
+        words: known words of the name by kind.
+        label: other parts of the name: a joint's number or name.
+        unit: unit in the name; None without one.
+        joint: joint to which a column of names assigns its number.
     """
 
     words: dict[str, str]
@@ -43,12 +50,20 @@ Groups = dict[tuple[str, str], list[_Column] | str]
 
 
 def propose_map(table: Path, robot: Robot | None) -> str:
-    """The text of a map.toml for a CSV or MAT table, with the reason of each line.
+    """Propose the text of a map.toml for a CSV or MAT table, with the reason of each line.
 
-    Columns go by words of several languages and tools, with the joint's number or its name in
-    `robot`, in the header or in cells; those without names are listed. Unit and side of efforts are
-    those of the maker's format, or stated in the header. `effort_timing` is never set. Raises
-    `BadInputError`: no table, or rows of one joint each.
+    Columns are identified by words of several languages and tools, with the joint's number or its
+    name in `robot`, in the header or in cells. Columns without names are listed. Unit and side of
+    efforts are those of the maker's format, or given in the header. `effort_timing` is never set.
+
+    Parameters
+    ----------
+    table : the file.
+    robot : the robot, if known.
+
+    Raises
+    ------
+    BadInputError : this is not a table, or each of its rows belongs to one joint.
     """
     scanned = scan_table(table, ROWS)
     maker = next((m for m, x in MAKERS.items() if any(re.search(x, c.name) for c in scanned)), "")
@@ -110,7 +125,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
 
 
 def _values(columns: Sequence[_Column], turn: float = 0.0) -> Array:
-    """The first rows (N, n), without jumps by a `turn`."""
+    """Return the first rows (N, n), without jumps by a `turn`."""
     x = np.column_stack([c.x for c in columns]) if columns else np.empty((1, 0))
     return np.unwrap(x, axis=0, period=turn) if turn else x
 
@@ -118,10 +133,10 @@ def _values(columns: Sequence[_Column], turn: float = 0.0) -> Array:
 def _columns(
     scanned: Sequence[TableColumn], maker: str, robot: Robot | None, place: Location
 ) -> list[_Column]:
-    """The columns that hold numbers.
+    """Return the columns with numbers.
 
-    Of libfranka's state and command the state, of its motor and joint the joint. Refuses columns of
-    the joints' names that change between rows.
+    In libfranka's logs the state is used, not the command, and the joint, not the motor. Columns of
+    joint names that change between rows are refused.
     """
     joints = {joint.name for joint in robot.joints} if robot else set()
     found: list[_Column] = []
@@ -159,8 +174,8 @@ def _columns(
 
 
 def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
-    """Columns of one per joint by quantity and source (and the motor's side); a text
-    if they are ambiguous.
+    """Group columns, one per joint, by quantity and source (and motor side); an ambiguous group is
+    a text.
     """
     members: dict[tuple[str, str], list[_Column]] = {}
     for c in columns:
@@ -185,8 +200,9 @@ def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
 def _one_per_joint(
     group: Sequence[_Column], common: set[str], robot: Robot | None
 ) -> list[_Column] | str:
-    """A column for each joint in order, by number or by the names in `robot`; a text
-    if they are ambiguous.
+    """Select a column for each joint in order, by number or by the names in `robot`.
+
+    The result is a text if they are ambiguous.
     """
     if told := {c.joint: c for c in group if c.joint}:
         joints = [joint.name for joint in robot.joints] if robot else [""]
@@ -223,8 +239,8 @@ def _one_per_joint(
 def _only(
     groups: Groups, kinds: Sequence[str], size: int = 0, source: str = "measured"
 ) -> tuple[list[_Column], str]:
-    """The only group of these kinds that is measured or does not say so, else why there is none;
-    `size`: of the position.
+    """Return the only group of these kinds that is measured or has no source, or the reason why
+    there is none; `size` is the number of position columns.
     """
     found = [
         group
@@ -241,7 +257,7 @@ def _keys(columns: Sequence[_Column]) -> str:
 
 
 def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColumn]) -> list[str]:
-    """The columns as comments, with their ranges or texts."""
+    """List the columns as comments, with their ranges or texts."""
     x = read_columns(table, [c.key for c in columns], len(columns))
     ranges = {
         c.key: f"{low:.10g} to {high:.10g}"
@@ -254,7 +270,7 @@ def _ranges(table: Path, columns: Sequence[_Column], scanned: Sequence[TableColu
 
 
 def _turn(table: Path, columns: Sequence[_Column]) -> float:
-    """The turn in rad or degrees by which angles of the columns jump; 0 if none does."""
+    """Return the turn in rad or degrees by which angles of the columns jump; 0 if none does."""
     x = read_columns(table, [c.key for c in columns], len(columns)) if columns else np.empty((1, 0))
     return next((turn for turn in (TURN, 360.0) if turn_jumps(x, turn).any()), 0.0)
 
@@ -267,12 +283,12 @@ def _listed(columns: Sequence[_Column], why: str) -> str:
 
 
 def _first(*rules: tuple[object, str]) -> str:
-    """The text of the first rule that holds."""
+    """Return the text of the first rule that is true."""
     return next(text for holds, text in rules if holds)
 
 
 def _stated(columns: Sequence[_Column], otherwise: str) -> str:
-    """The unit that the header states for all columns, or the line `otherwise`."""
+    """Return the unit that the header gives for all columns, or the line `otherwise`."""
     units = sorted({str(c.unit) for c in columns})
     known = {UNITS.get(unit) for unit in units}
     return _first(
@@ -342,7 +358,7 @@ def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
 
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:
-    """`[time]`, or a rate to be filled in; the times of the first rows in s."""
+    """Propose `[time]`, or a rate to fill in; also return the times of the first rows in s."""
     growing = [c for c in columns if len(c.x) > 1 and (np.diff(c.x) >= 0).all() and bursts(c.x)[0]]
     found = [
         c
@@ -390,8 +406,9 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
 
 
 def _moves_as(x: Array, q: Array) -> bool:
-    """Whether changes of x (N, n) are those of q within a factor of 2; true where nothing moves: a
-    table may begin at rest.
+    """Test whether changes of x (N, n) are those of q within a factor of 2.
+
+    It is true if nothing moves: a table may begin at rest.
     """
     x, q = x - x.mean(axis=0), q - q.mean(axis=0)
     return bool(np.abs(q).max() < MIN_MOTION or 0.5 < (x * q).sum() / max((x**2).sum(), 1e-300) < 2)

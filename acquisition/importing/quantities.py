@@ -1,7 +1,7 @@
 """Recorded values → values at the joint in SI: units, sides, the robot's rule.
 
-The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity`
-and `Robot.joint_effort`.
+The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity` and
+`Robot.joint_effort`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,9 +59,7 @@ ONE_SIDE: Mapping[str, tuple[Side, str]] = {
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[position]`, `[effort]` and others: the columns, one per motor or
-    joint, with unit and side.
-    """
+    """`[position]`, `[effort]` and others: columns, one per motor or joint, with unit and side."""
 
     columns: Annotated[
         tuple[str | int, ...],
@@ -86,14 +84,14 @@ class Angles(Quantity, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Tables, the robot they are of, and the place of the map, for errors."""
+    """Tables, their robot, and the location of the map, for errors."""
 
     tables: Sequence[Path]
     robot: Robot
     place: Location
 
     def table(self, key: str, number: int) -> Path:
-        """The table with this `number`, from 1."""
+        """Return the table with this `number`, counted from 1."""
         self.place.require(
             number <= len(self.tables),
             key,
@@ -103,7 +101,7 @@ class Source:
         return self.tables[number - 1]
 
     def position(self, key: str, quantity: Angles) -> Array:
-        """Joint positions (N, n) in rad or m."""
+        """Read joint positions (N, n) in rad or m."""
         units, values = self._read(key, quantity, POSITION_UNITS)
         side = position_side(self.robot, quantity.side, key, self.place)
         self._check_kinds(key, units, side)
@@ -113,10 +111,12 @@ class Source:
     def _without_jumps(
         self, key: str, quantity: Angles, units: Sequence[str], x: Array, side: Side
     ) -> Array:
-        """Values x (N, n), if the map says so with angles without jumps by a turn, about 0.
+        """Remove jumps by a turn from values x (N, n) if the map asks for it; angles are then about
+        0.
 
-        Refuses jumps that the map does not state, that may be motion, or of a motor: its turns
-        before the first row are not known, and turn the joint unless the ratio is a whole number.
+        Jumps are refused that the map does not declare, that may be motion, or that are those of a
+        motor: its turns before the first row are unknown, and turn the joint unless the ratio is a
+        whole number.
         """
         angles, of_motor = np.array(units) == "rad", np.linalg.inv(self.robot.R)
         unwrapped = np.where(angles, np.unwrap(x, axis=0), x)
@@ -139,15 +139,15 @@ class Source:
         return np.where(angles, near_0, x) if quantity.unwrap else x
 
     def velocity(self, key: str, quantity: Quantity) -> Array:
-        """Joint speeds (N, n) in rad/s or m/s."""
+        """Read joint speeds (N, n) in rad/s or m/s."""
         units, values = self._read(key, quantity, VELOCITY_UNITS)
         side = _side_or_joint(quantity.side, _is_identity(self.robot.R), key, self.place)
         self._check_kinds(key, units, side)
         return self.robot.joint_velocity(values) if side == "motor" else values
 
     def effort(self, key: str, quantity: Quantity) -> tuple[Array, str, str]:
-        """Joint efforts (N, n) in the robot's units, their origin, and what
-        they are: unit and side.
+        """Read joint efforts (N, n) in the robot's units; also return their origin, and unit and
+        side.
         """
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, f"{key}.unit", self.place)
@@ -162,8 +162,10 @@ class Source:
         )
 
     def effort_of_one_side(self, key: str, quantity: Quantity) -> Array:
-        """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the
-        units of the recorded effort.
+        """Read efforts of one side (N, n).
+
+        These are external torques on the joints in N m (forces in N), or feed-forward by motor in
+        the unit of the recorded effort.
         """
         side, why = ONE_SIDE[key]
         self.place.require(
@@ -180,7 +182,7 @@ class Source:
         return values
 
     def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
-        """SI unit of each column, and the values (N, n) in these units."""
+        """Read the values (N, n) of columns in SI; also return the SI unit of each."""
         n = self.robot.n
         units, factors = si_units(
             (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit,
@@ -213,7 +215,9 @@ class Source:
 
 
 def turn_jumps(x: Array, turn: float) -> Bools:
-    """Steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of it."""
+    """Find steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of
+    it.
+    """
     return np.asarray(
         (np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25)
         & (np.ptp(x, axis=0) <= MAX_WRAPPED * turn)
@@ -223,7 +227,7 @@ def turn_jumps(x: Array, turn: float) -> Bools:
 def si_units(
     units: Sequence[str], n: int, known: Units, key: str, place: Location
 ) -> tuple[tuple[str, ...], Array]:
-    """SI unit and factor (n,) of each of n units."""
+    """Return SI unit and factor (n,) of each of n units."""
     place.require(
         len(units) == n,
         key,
@@ -236,7 +240,7 @@ def si_units(
 
 
 def position_side(robot: Robot, side: Side | None, key: str, place: Location) -> Side:
-    """The side of positions; by default the joint's if both are equal."""
+    """Return the side of positions; by default that of the joint if both are equal."""
     side = _side_or_joint(side, _is_identity(robot.R) and not robot.zero.any(), key, place)
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
@@ -262,8 +266,8 @@ def _side_or_joint(side: Side | None, same: bool, key: str, place: Location) -> 
 def effort_side(
     robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Location
 ) -> Side:
-    """The side of efforts in the units `given`, which `key` states; by default the one whose units
-    are the same.
+    """Return the side of efforts in the units `given` for `key`; by default the one whose units
+    match.
     """
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if given == expected[side]]
@@ -285,7 +289,9 @@ def effort_side(
 
 
 def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str]:
-    """Joint efforts (N, n) of values (N, n) in the units of their side, and the rule as text."""
+    """Convert values (N, n) in the units of their side to joint efforts (N, n); also return the
+    rule as text.
+    """
     units = join_units(robot.effort_units)
     if side == "joint":
         return values, f"joint effort = value in {units}"
@@ -295,5 +301,5 @@ def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str
 
 
 def join_units(units: Sequence[str]) -> str:
-    """Units as text, one if all are the same."""
+    """Join units to a text; one if all are the same."""
     return units[0] if len(set(units)) == 1 else ", ".join(units)

@@ -1,5 +1,5 @@
-"""Finds errors in the times of rows: by the motion, as an error of time moves a position off its
-path by speed x error; and where a clock was set back.
+"""Errors in the times of rows: found by the motion, as an error of time moves a position off its
+path by speed x error; and steps back of a clock.
 """
 
 from collections.abc import Iterator
@@ -37,12 +37,18 @@ ONE_CLOCK = (
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
-    """A warning if growing times (N,) jitter more than the motion q (N, n), rad or m, allows;
-    it ends with `way_out`.
+    """Return a warning if growing times jitter more than the motion does.
 
     Each position is compared with the cubic through two rows before and two after it, once by the
-    times and once by the row numbers. The deviation over the speed is an error of time. Rows at
-    uniform times, with stamps of a clock that was read late, are much smoother by their numbers.
+    times and once by the row numbers. The deviation divided by the speed is an error of time. Rows
+    at uniform times, with timestamps of a clock that was read late, are much smoother by their
+    numbers.
+
+    Parameters
+    ----------
+    time_s : (N,) growing times in s.
+    q : (N, n) positions in rad or m.
+    way_out : end of the warning, what to do.
     """
     steps = np.diff(time_s)
     period = float(np.median(steps))
@@ -67,8 +73,10 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
 
 
 def bursts(stamp_s: Array) -> tuple[float, float]:
-    """The step of rows with stamps (N,), and the time between bursts, 0 if they do not come in
-    bursts; the step is then the median one, else the mean.
+    """Return the step of rows with timestamps (N,), and the time between bursts, 0 if there are
+    none.
+
+    The step is the median one, or the mean one if timestamps come in bursts.
     """
     steps = np.diff(stamp_s)
     longer = steps[steps > steps.mean()]
@@ -84,18 +92,32 @@ def bursts(stamp_s: Array) -> tuple[float, float]:
 def even_times(
     stamp_s: Array, q: Array, rate_hz: float, place: Location
 ) -> tuple[Array, float | None]:
-    """Times (N,) at the stated rate, and the scatter of the stamps about them, if stamps come in
-    bursts while positions q (N, n) move evenly; else the stamps, and None.
+    """Return times at the given rate if timestamps come in bursts while positions move evenly.
 
-    Rows of a packet have the stamps of its arrival. Refuses a rate that is not that of the rows, as
-    where packets are missing.
+    Rows of a packet have the timestamp of its arrival.
+
+    Parameters
+    ----------
+    stamp_s : (N,) timestamps in s.
+    q : (N, n) positions.
+    rate_hz : rate of the rows in Hz.
+    place : name of the map in errors.
+
+    Returns
+    -------
+    Times (N,) in s, and the scatter of the timestamps about them; the timestamps and None if they
+        do not come in bursts.
+
+    Raises
+    ------
+    BadInputError : the rate is not that of the rows, as where packets are missing.
     """
     step_s, between_s = bursts(stamp_s)
     even_s = stamp_s[0] + np.arange(len(stamp_s)) / rate_hz
     first = np.flatnonzero(np.diff(stamp_s) > step_s) + 1  # row of each burst
 
     def share(x: Array) -> float:
-        """The part of the way from burst to burst that is made before the first row."""
+        """Compute the part of the way from burst to burst that is covered before the first row."""
         whole, step = np.diff(x[first], axis=0), (x[first] - x[first - 1])[1:]
         return float((whole * step).sum() / max((whole**2).sum(), 1e-300))
 
@@ -115,13 +137,13 @@ def even_times(
 
 
 def rows_in_time(time_s: Array, q: Array) -> Bools:
-    """Rows whose positions q (N, n) agree with their neighbours at their growing times (N,).
+    """Find rows whose positions q (N, n) fit their neighbours at their growing times (N,).
 
-    A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A
-    row is left out if its positions show an error of time above a twentieth of a period and far
-    above the scatter of the others; only one of two neighbours, and none if a gap would remain. A
-    slow arm that settles leaves its path too, but by more time than between the neighbouring
-    stamps, by few quanta, or at uniform stamps: such rows are not left out.
+    A timestamp that is wrong by a tick moves all joints off their path by their speed times the
+    tick. A row is removed if its positions show an error of time above a twentieth of a period and
+    far above the scatter of the others; only one of two neighbours, and none if a gap would remain.
+    A slow arm that settles leaves its path, too, but by more time than between the neighbouring
+    timestamps, by few quanta, or at uniform timestamps: such rows remain.
     """
     rows, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
@@ -138,8 +160,9 @@ def rows_in_time(time_s: Array, q: Array) -> Bools:
 
 
 def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, Bools]:
-    """Of rows (N - 4,) with two neighbours on both sides: by how many deviations their stamps are
-    wrong, and whether they are.
+    """Measure the errors of timestamps of rows (N - 4,) with two neighbours on both sides.
+
+    Returns by how many standard deviations they are wrong, and whether they count as wrong.
     """
     period = float(np.median(np.diff(t)))
     found = by_rows(lambda *rows: np.column_stack(_neighbour_deviation(*rows)), t, x, beside=4)
@@ -175,8 +198,9 @@ def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, Bools]:
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: steps of q (N, n) over speeds v, each stretch of motion shifted to its
-    stamps; uniform at rest.
+    """Count the ticks (N,) of rows: steps of q (N, n) divided by speeds v.
+
+    Each stretch of motion is shifted to its timestamps; ticks are uniform at rest.
     """
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
@@ -204,7 +228,7 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
 
 
 def smallest_difference(q: Array) -> Array:
-    """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for
+    """Return the smallest difference (n,) of two positions q (N, n) above rounding; infinite for
     joints that do not move.
     """
     return np.array(
@@ -216,8 +240,9 @@ def smallest_difference(q: Array) -> Array:
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, missing ones included; three steps about a late
-    stamp sum to three periods.
+    """Number rows at growing times (N,), including missing ones.
+
+    Three steps about a late timestamp sum to three periods.
     """
     steps = np.diff(time_s)
     period = float(np.median(steps))
@@ -228,7 +253,7 @@ def row_numbers(time_s: Array) -> Array:
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Error of time (n,) that explains the rms distance of q (N, n) from the cubics
+    """Compute the error of time (n,) that explains the rms distance of q (N, n) from the cubics
     through four neighbours.
     """
     off, size = _neighbour_deviation(time_s, q)
@@ -236,8 +261,8 @@ def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
 
 
 def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
-    """Distance of q (N, n) from the cubic through two rows before and two after, and its standard
-    deviation for unit noise.
+    """Compute the distance of q (N, n) from the cubic through two rows before and two after, and
+    its standard deviation for unit noise.
     """
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
@@ -248,10 +273,10 @@ def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
 
 
 def steps_back(time_ns: Ints) -> Iterator[tuple[int, int, int]]:
-    """Rows of periodic times (m,) after which the clock was set back; by how much, and when since
-    the first one, in ns.
+    """Yield rows of periodic times (m,) after which the clock was set back.
 
-    Rows out of order do not last: those before and after them are as late for their number.
+    With each row come the step, and the time since the first row, in ns. Rows out of order do not
+    last: those before and after them are as late for their number.
     """
     back = np.flatnonzero(np.diff(time_ns) < 0)
     if not len(back):

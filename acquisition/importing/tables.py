@@ -1,7 +1,7 @@
-"""Imports tables recorded elsewhere (CSV, MAT) into a recording, by a `map.toml`;
-exports recordings as CSV.
+"""Import of tables (CSV, MAT) into a recording, by a `map.toml`; export of recordings as CSV.
 
-The recording states the columns and the rule of the efforts, and describes the times of the rows.
+The recording contains the columns and the rule of the efforts, and a report on the times of the
+rows.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -56,8 +56,8 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: columns of positions, efforts and other quantities, and the rate or
-    the times of the samples.
+    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of
+    the samples.
     """
 
     position: Annotated[Angles, note("columns of the positions")]
@@ -86,11 +86,19 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 def import_tables(
     tables: Sequence[Path], robot: Robot, map_path: Path, out: Path, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from CSV or MAT tables; nothing is written where
-    `BadInputError` is raised.
+    """Write a recording from CSV or MAT tables.
 
-    The file `map_path` assigns columns, units and sides (motor or joint), and says how times are
-    read; `payload`: what the robot carried.
+    Parameters
+    ----------
+    tables : the files.
+    robot : the robot.
+    map_path : map.toml with columns, units, sides (motor or joint) and times.
+    out : the recording to write.
+    payload : what the robot carried.
+
+    Raises
+    ------
+    BadInputError : a table or the map cannot be read, or they do not fit. Nothing is written then.
     """
     place = Location(str(map_path))
     content = read_bytes(map_path)
@@ -130,13 +138,15 @@ def import_tables(
 
 
 def lines_to_fill_in(content: bytes) -> list[int]:
-    """Numbers of the lines of a map with `FILL_IN`, but for the first, which says what it is."""
+    """Return the numbers of the lines of a map with `FILL_IN`, except the first line, which
+    explains it.
+    """
     return [k for k, line in enumerate(content.splitlines()[1:], 2) if FILL_IN.encode() in line]
 
 
 def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, str]:
-    """All quantities of the map, at the joint (feed-forward: at the motor), and origin and
-    object of the efforts.
+    """Read all quantities of the map, at the joint (feed-forward: at the motor); also return
+    origin, and unit and side, of the efforts.
     """
     parts = {"position": source.position("position", table_map.position)}
     parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
@@ -155,7 +165,7 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
 
 
 def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> GridValues:
-    """The rows on a uniform grid: by the stated rate, or by their times."""
+    """Place the rows on a uniform grid, by the given rate or by their times."""
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
         rate_hz = source.place.given(
@@ -222,8 +232,8 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
-    """Times (N,) of the rows by stamps or ticks; the scatter of the stamps about the ticks
-    in s, None without both.
+    """Return the times (N,) of the rows by timestamps or ticks; and the scatter of the timestamps
+    about the ticks in s, None without both.
     """
     place = source.place
     place.require(
@@ -265,7 +275,7 @@ def _ticks(
     parts: Mapping[str, Array],
     stamp_s: Array | None,
 ) -> Array:
-    """Ticks (N,) of the rows, of a counter or counted by positions and speeds."""
+    """Return the ticks (N,) of the rows, of a counter or counted from positions and speeds."""
     if name == FROM_VELOCITY:
         if stamp_s is None or "velocity" not in parts:
             source.place.refuse(
@@ -296,8 +306,8 @@ def _column(source: Source, time: Time, name: str | int, parts: Mapping[str, Arr
 
 
 def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Location) -> float:
-    """Standard deviation of stamps about the times of ticks, s; refuses a
-    tick of another length.
+    """Compute the standard deviation of timestamps about the times of ticks in s; refuse a wrong
+    tick.
     """
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
     place.require(
@@ -311,8 +321,18 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Locatio
 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
-    """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at
-    all; returns their number. Calls `warn` if samples are missing.
+    """Write the joint samples of a recording as CSV in SI, with units in the names, whole or not at
+    all.
+
+    Parameters
+    ----------
+    path : the recording.
+    out : the CSV file to write.
+    warn : function that receives a warning if samples are missing.
+
+    Returns
+    -------
+    The number of samples.
     """
     recording = read_recording(path)
     robot = recording.robot
@@ -350,7 +370,7 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 
 
 def _unit(robot: Robot, field: str, joint: int) -> str:
-    """Unit of a field of a joint's samples, for the name of a column."""
+    """Return the unit of a field of a joint's samples, for the name of a column."""
     unit, effort = robot.joints[joint].position_unit, robot.effort_units[joint]
     return {
         "velocity": f"{unit}_s",

@@ -27,14 +27,18 @@ class TimeReport:
     """Times of rows before any interpolation.
 
     Attributes:
-        rows: used; doubled: rows left out, equal to the row before in time and all values.
-        period_s: median step; shortest_s, longest_s: of all steps.
-        jitter_s: standard deviation of the steps, gaps left out.
-        off: rows left out because the motion contradicts their stamps.
-        gaps: steps over 1.5 periods; missing: rows missing in them.
-        grid_hz: rate of the grid that values were interpolated to, None without interpolation.
-        clock: origin of the times: `stamps`, `ticks`.
-        stamps_off_s: standard deviation of the stamps about the ticks, None without both.
+        rows: number of rows used.
+        doubled: duplicate rows left out, equal to the row before in time and all values.
+        period_s: median step in s.
+        shortest_s: shortest step in s.
+        longest_s: longest step in s.
+        jitter_s: standard deviation of the steps without gaps in s.
+        off: rows left out because their timestamps do not fit the motion.
+        gaps: number of steps of more than 1.5 periods.
+        missing: rows missing in them.
+        grid_hz: rate of the grid to which values were interpolated; None without interpolation.
+        clock: origin of the times, such as `timestamps` or `ticks`.
+        stamps_off_s: standard deviation of the timestamps about the ticks in s; None without both.
     """
 
     rows: int
@@ -72,8 +76,16 @@ class TimeReport:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridValues:
-    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns`; the report on the
-    original times, warnings; `absent` (M,) are in gaps, and are not written.
+    """Values on a uniform grid.
+
+    Attributes:
+        parts: values (M, n) by name.
+        start_s: first time after `first_ns` in s.
+        rate_hz: rate in Hz.
+        first_ns: time of the first row in ns.
+        report: report on the original times.
+        warnings: warnings, one line each.
+        absent: (M,) values in gaps, which are not written.
     """
 
     parts: Mapping[str, Array]
@@ -90,7 +102,10 @@ class GridValues:
         return {} if self.report is None else {"times": self.report.text}
 
     def stamps_ns(self, place: str) -> Ints:
-        """Stamps (M,) in ns, from 0 if they would begin before 0. Errors name `place`."""
+        """Compute timestamps (M,) in ns, from 0 if they would begin before 0.
+
+        `place` is the name of the source in errors.
+        """
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
         Location(place).require(
@@ -117,7 +132,7 @@ def with_warnings(
 
 
 def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
-    """Statistics of growing times (N,)."""
+    """Compute the statistics of growing times (N,)."""
     steps = np.diff(time_s)
     period = float(np.median(steps))
     long = steps > MIN_GAP_STEP * period
@@ -141,13 +156,23 @@ def resample(
     largest_gap_periods: float | None = None,
     place: Location,
 ) -> GridValues:
-    """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
+    """Interpolate values to a uniform grid, by cubic splines.
 
-    Rows that repeat the row before in time and values are left out, and rows whose `position`
-    in `parts` contradicts their time (`rows_in_time`). The default rate of the grid is that of
-    the rows, rounded within their scatter. Raises `BadInputError` if there are fewer than 4
-    rows, time runs backwards, two rows of one time have different values, a step is longer than
-    `largest_gap_periods` median ones (or ten times the rows), or the grid has under 2 samples.
+    Rows that repeat the row before in time and values are left out, and rows whose `position` in
+    `parts` does not fit their time (`rows_in_time`).
+
+    Parameters
+    ----------
+    time_s : (N,) times in s.
+    parts : values (N, n) by name.
+    rate_hz : rate of the grid in Hz; by default that of the rows, rounded within their scatter.
+    largest_gap_periods : longest accepted step, in median steps; by default ten times the rows.
+    place : name of the source in errors.
+
+    Raises
+    ------
+    BadInputError : there are fewer than 4 rows, time runs backwards, two rows of one time have
+        different values, a step is too long, or the grid has fewer than 2 samples.
     """
     time_s, parts, report = rows_to_interpolate(time_s, parts, place, largest_gap_periods)
     rate_hz = rate_hz or roundest_rate_hz(time_s)
@@ -171,9 +196,11 @@ def resample(
 
 
 def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
-    """Cubic splines through x (N, n) at the growing times (N,), at the growing times at_s (M,).
+    """Interpolate x (N, n) at the growing times (N,) to the growing times at_s (M,), by cubic
+    splines.
 
-    Block by block: the rows of hours, with the coefficients of their splines, do not fit in memory.
+    This runs block by block: the rows of hours do not fit in memory with the coefficients of their
+    splines.
     """
     from scipy.interpolate import CubicSpline
 
@@ -192,9 +219,7 @@ def rows_to_interpolate(
     place: Location,
     largest_gap_periods: float | None = None,
 ) -> tuple[Array, Mapping[str, Array], TimeReport]:
-    """The times and rows that `resample` does not leave out or refuse, and
-    a report on the times.
-    """
+    """Return the times and rows that `resample` uses, and a report on the times."""
     time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
     place.require(
         len(time_s) >= 4,
@@ -221,7 +246,7 @@ def rows_to_interpolate(
 def _drop_repeated_rows(
     time_s: Array, parts: Mapping[str, Array], place: Location
 ) -> tuple[Array, Mapping[str, Array], int]:
-    """Growing times and their values without repeated rows; the number of repeated rows."""
+    """Remove repeated rows from growing times and their values; also return their number."""
     steps = np.diff(time_s)
     if (row := first_true(steps < 0)) is not None:
         place.refuse(
@@ -243,8 +268,8 @@ def _drop_repeated_rows(
 
 
 def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
-    """The rate of growing times (N,) of numbered `rows` (N,), or of consecutive ones, rounded
-    within their scatter: 1000, not 1000.0013.
+    """Estimate the rate of growing times (N,) of numbered `rows` (N,), or of consecutive ones,
+    rounded within their scatter: 1000, not 1000.0013.
     """
     rows = row_numbers(time_s) if rows is None else rows
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
@@ -253,8 +278,8 @@ def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
 
 
 def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
-    """Return the rate rounded to the fewest digits within the relative `scatter`, `most` at most
-    and above rounding.
+    """Return the rate rounded to the fewest digits within the relative `scatter`, which is limited
+    to `most` and to rounding.
     """
     within = min(max(scatter, 1e-12), most)
     return next(
@@ -263,8 +288,8 @@ def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
 
 
 def rate_warnings(report: TimeReport) -> list[str]:
-    """Warnings about a grid that is coarser or much finer than the rows, and
-    about many rows left out.
+    """Return warnings about a grid that is coarser or much finer than the rows, and about many rows
+    left out.
     """
     if report.grid_hz is None:
         return []
@@ -287,8 +312,8 @@ def rate_warnings(report: TimeReport) -> list[str]:
 
 
 def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> GridValues:
-    """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not
-    grow or leave the grid.
+    """Return values (N, n) at times (N,) that lie on a uniform grid; refuse times that do not grow
+    or leave the grid.
     """
     advice = "Set time.resample_hz to interpolate the rows to a uniform grid"
     steps = np.diff(time_s)
@@ -328,8 +353,14 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSummary:
-    """A written recording, and what it does not say of its import: units of efforts that were
-    converted, the report on the times, the topic that was not named, warnings.
+    """A written recording, and what it does not contain about its import.
+
+    Attributes:
+        out: the recording.
+        effort_units: units of the joint efforts.
+        times: report on the times.
+        topic: topic that was chosen by default.
+        warnings: warnings, one line each.
     """
 
     out: Path
@@ -342,10 +373,19 @@ class ImportSummary:
 def write_samples(
     header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path
 ) -> ImportSummary:
-    """Check a grid and write it as the recording `out`, whole or not at all, with `warnings`.
+    """Check a grid and write it as the recording `out`, whole or not at all.
 
-    Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises
-    `BadInputError` for impossible stamps, positions or speeds.
+    Parameters
+    ----------
+    header : header of the recording.
+    grid : the samples; parts have the names of a sample's fields.
+    warnings : further warnings.
+    place : name of the files in errors.
+    out : the recording to write.
+
+    Raises
+    ------
+    BadInputError : timestamps, positions or speeds are impossible.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     overshoots = (

@@ -1,7 +1,7 @@
 """The recording: one MCAP file with the robot, its frames and its joint samples.
 
-It owns the file, with the package mcap: it writes it, reads it and follows it while it grows; and
-the decoding of CAN frames to rows on the SYNC grid. It may use `robot`, `protocol` and `files`.
+It owns the file, which it writes with the package mcap, reads, and follows while it grows; and the
+decoding of CAN frames to rows on the SYNC grid. It may use `robot`, `protocol` and `files`.
 """
 
 from .decoding import Decoded, decode, refuse_period

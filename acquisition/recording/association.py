@@ -1,9 +1,9 @@
-"""Which PDO answers which SYNC.
+"""The association of PDOs with SYNCs.
 
 An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in
-order, some answers after the next SYNC. The order assigns answers to SYNCs as long as none is lost:
-a lost one shifts all later ones of its drive. So the frames are divided at places where no answer
-is pending, and what lies between gives rows only if every PDO came as often as SYNC:
+order, some answers after the next SYNC. The order assigns answers to SYNCs as long as no answer is
+lost: a lost one shifts all later ones of its drive. So the frames are divided at places where no
+answer is pending, and a part gives rows only if every PDO came as often as SYNC:
 
     SYNC         0    1    2    3    4    5    6    7    8    9    10   11   12   13   14   15   16
     drive A      |0   |1   |    |3   |4   |5   |6   |7   |8   |    |9 10|11  |12  |13  |14  |15  |16
@@ -12,14 +12,14 @@ is pending, and what lies between gives rows only if every PDO came as often as 
     proven edges ^                   ^    ^    ^    ^    ^    ^              ^    ^    ^    ^    ^
     rows         0    1              4    5    6    7    8              11   12   13   14   15   16
 
-- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its
-  usual time after SYNC, unless a drive catches up later with pending answers. Where drives are late
+- **Proven edges** are the ends of three intervals in a row with one PDO of every drive each, at its
+  usual time after SYNC, unless a drive catches up later with pending answers. If drives are late
   (10), the first of such intervals (3) prove nothing.
-- **Stretches**: from such an edge to the next place at which the PDOs since then
-  are as many as the SYNCs.
+- **Stretches** reach from such an edge to the next place at which there are as many PDOs as SYNCs
+  since then.
 - **Doubtful**: A is late at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO
-  that is missing or doubled (2 of A) late answers prove nothing, so 9 and 10 give no rows; without
-  the loss of 2 they do.
+  that is missing or duplicate (2 of A) late answers prove nothing, so 9 and 10 give no rows;
+  without the loss of 2 they do.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,13 +50,14 @@ class Answers:
     """The frames that answer SYNCs, where the order is proven.
 
     Attributes:
-        answered: (N,) grid indices of the SYNCs whose answers are all known, also SYNCs that were
-            not recorded.
-        late: (N,) whether PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS`
-            makes the row doubtful.
+        answered: (N,) grid indices of the SYNCs whose answers are all known, including SYNCs that
+            were not recorded.
+        late: (N,) whether PDOs are late, so that one missing or duplicate within the next
+            `MAX_RUN_SYNCS` makes the row doubtful.
         rows: for each PDO the (N,) frames that answer.
-        losses: late, duplicate, missing frames of each PDO; missing: where all drives answer.
-        missing_share: the largest share of missing ones of a PDO there.
+        losses: late, duplicate and missing frames of each PDO; missing ones are counted where all
+            drives answer.
+        missing_share: largest share of missing frames of a PDO there.
     """
 
     answered: Rows
@@ -72,7 +73,7 @@ class _Progress:
 
     Attributes:
         behind: for each PDO the (k + 1,) answers that are pending at an edge between two intervals.
-        uneven: (k,) whether an interval has not as many answers as SYNCs.
+        uneven: (k,) whether the number of answers in an interval differs from the number of SYNCs.
         caught_up: (k + 1,) edges at which a drive is late: it is less behind both before and later.
         alone: (k,) intervals of one SYNC with one PDO of every drive.
     """
@@ -92,7 +93,13 @@ def associate(
 ) -> Answers:
     """Assign the frames of `pdos` to SYNCs where the order is proven.
 
-    `repeats`: frames that `without_repeats` left out; `times_of`: times of frames, ns.
+    Parameters
+    ----------
+    pdos : for each PDO its frames, without repeats.
+    repeats : for each PDO the frames that `without_repeats` removed.
+    syncs : the recorded SYNCs.
+    times_of : function that returns the times of frames in ns.
+    intervals : the intervals between the SYNCs.
     """
     steps = intervals.steps
     progress = _progress(pdos, syncs.rows, intervals)
@@ -147,8 +154,10 @@ def _progress(pdos: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> _P
 
 
 def _stretches(progress: _Progress, intervals: Intervals) -> tuple[Bools, Rows, Bools, int]:
-    """Proven edges (k + 1,); cuts between stretches; which stretches are whole; the number of
-    intervals at the beginning in which answers are pending.
+    """Divide the intervals into stretches.
+
+    Returns proven edges (k + 1,), the cuts between stretches, which stretches are whole, and the
+    number of intervals at the beginning in which answers are pending.
     """
     behind, torn = progress.behind, intervals.torn
     proven = _in_order(progress, intervals.unusual)
@@ -191,11 +200,11 @@ def _answers(
 
 
 def _in_order(progress: _Progress, unusual: Bools) -> Bools:
-    """Edges at which no answer is pending: in runs of intervals with one PDO of every drive, none
-    of them unusual.
+    """Find edges at which no answer is pending: in runs of intervals with one PDO of every drive,
+    none of which is unusual.
 
     Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they
-    catch up: the longest such run that is seen, and one interval more, proves nothing.
+    catch up. So the longest such run that is seen, and one interval more, proves nothing.
     """
     caught_up, alone = progress.caught_up, progress.alone & ~unusual
     both = alone & caught_up[1:] & caught_up[:-1]
@@ -216,7 +225,7 @@ def _in_a_row(values: Bools, count: int) -> Ints:
 
 
 def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
-    """Edges between stretches, and which stretches have as many PDOs as SYNCs:
+    """Return the edges between stretches, and which stretches have as many PDOs as SYNCs, because
     no balance has changed.
     """
     starts = np.flatnonzero(proven).astype(np.int32)
@@ -258,5 +267,5 @@ def _late(
 
 
 def _sums(values: Bools | Rows | Ints) -> Rows:
-    """Sum of all values before each, then the sum of all."""
+    """Return the sum of all values before each, then the sum of all."""
     return kept(np.append(np.int32(0), np.cumsum(values, dtype=np.int32)))

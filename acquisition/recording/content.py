@@ -1,11 +1,11 @@
-"""Reads the container of a recording, whole or cut, and checks its version and every checksum; not
-the meaning of its messages.
+"""The container of a recording, whole or truncated: reading, and the checks of its version and of
+every checksum, but not of the meaning of its messages.
 
-mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check
-the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
+The readers of mcap are not used: they raise the same errors for truncation and for damage, do not
+check the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
 
-Other programs write recordings again (`mcap recover`, `filter`, `merge`, `compress`): chunks may be
-compressed by zstd or lz4 or not at all, and messages may stand outside of chunks.
+Other programs rewrite recordings (`mcap recover`, `filter`, `merge`, `compress`): chunks may be
+compressed by zstd or lz4 or not at all, and messages may be outside of chunks.
 """
 
 import hashlib
@@ -60,12 +60,14 @@ _DAMAGE = (
 
 
 class _ForeignError(ValueError):
-    """What another program may write, and is neither a recording of ours nor damage."""
+    """Content that another program may write, and that is neither a recording of this package nor
+    damage.
+    """
 
 
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in
-    ns, and their contents.
+    """Messages of one topic, in file order: the text of their schema, their log times in ns, and
+    their contents.
     """
 
     def __init__(self, layout: str) -> None:
@@ -81,17 +83,20 @@ class Messages:
         self.ends.append(self.data.tell())
 
     def items(self) -> Iterator[tuple[int, bytes]]:
-        """Log time and content of each message."""
+        """Yield log time and content of each message."""
         data = self.data.whole()
         for stamp_ns, begin, end in zip(self.stamps_ns, [0, *self.ends], self.ends, strict=False):
             yield stamp_ns, bytes(data[begin:end])
 
 
 def read_content(path: Path) -> tuple["Content", bool, str]:
-    """The content of a recording, whether the file is cut, and its SHA-256.
+    """Read the content of a recording, whether the file is truncated, and its SHA-256.
 
-    For a file without its end, returns what was written before the cut. Raises `BadInputError` when
-    the file cannot be read, is not MCAP, is damaged, or is refused by `check_metadata`.
+    For a file without its end this is what was written before.
+
+    Raises
+    ------
+    BadInputError : the file cannot be read, is not MCAP, is damaged, or fails `check_metadata`.
     """
     try:
         with path.open("rb") as file:
@@ -138,7 +143,7 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
 
 
 class Content:
-    """What the records so far hold: the metadata record `recording` (None without it), attachments
+    """Content of the records so far: the metadata record `recording` (None without it), attachments
     by name, messages by topic of `READ_TOPICS`; `complete` after the last record with data.
     """
 
@@ -152,7 +157,7 @@ class Content:
         self._channels: dict[int, str | None] = {}  # topic by channel id; None: not one to read
 
     def take(self) -> dict[str, Messages]:
-        """The messages since the last call."""
+        """Return the messages since the last call."""
         taken, self.messages = (
             self.messages,
             {topic: Messages(m.layout) for topic, m in self.messages.items()},
@@ -160,7 +165,9 @@ class Content:
         return taken
 
     def add(self, opcode: int, content: bytes, crc_before: int | None = None) -> None:
-        """Add a record. Raises one of `_DAMAGE`; `crc_before`: of all bytes before it, if known."""
+        """Add a record. Raise one of `_DAMAGE` if it is wrong; `crc_before` is the CRC of all bytes
+        before it, if known.
+        """
         if opcode == Opcode.METADATA:
             record = mcap.records.Metadata.read(_stream(content))
             if record.name == "recording":
@@ -211,10 +218,10 @@ class Content:
 
 
 class GrowingContent(Content):
-    """The content of a file that another program writes, without a lock: `read` adds the
-    records since the last call.
+    """Content of a file that another program is writing, without a lock. `read` adds the records
+    since the last call.
 
-    Raises `BadInputError` where the file is not one that is being written, or is damaged.
+    It raises `BadInputError` if the file is not one that is being written, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -222,7 +229,7 @@ class GrowingContent(Content):
         self._path, self._file, self._at = path, path.open("rb"), len(_MAGIC)
 
     def read(self) -> bool:
-        """Whether there were new records."""
+        """Read new records; return whether there were any."""
         place, before = Location(str(self._path)), self._at
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
@@ -268,11 +275,11 @@ class _Records:
         return _records(self._take, len(_MAGIC), self._size)
 
     def only_zeros_follow(self) -> bool:
-        """Whether nothing but zero bytes follows the current record."""
+        """Test whether nothing but zero bytes follows the current record."""
         return all(not part.strip(b"\0") for part in self._rest())
 
     def sha256(self) -> str:
-        """Digest of the whole file, hexadecimal."""
+        """Compute the digest of the whole file, hexadecimal."""
         for _ in self._rest():
             pass
         return self._digest.hexdigest()
@@ -290,8 +297,10 @@ class _Records:
 
 
 def _records(take: Callable[[int], bytes], at: int, end: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, first byte of the content, and content of each complete record in the bytes from `at`
-    to `end`, which `take` gives in order. Opcode 0 is unwritten disk space and ends the iteration.
+    """Yield opcode, first byte of the content, and content of each complete record.
+
+    They are in the bytes from `at` to `end`, which `take` returns in order. Opcode 0 is unwritten
+    disk space and ends the iteration.
     """
     while at + 9 <= end:
         head = take(9)
@@ -312,9 +321,9 @@ def _check_crc(computed: int, expected: int) -> None:
 
 
 def _unpack(chunk: Any) -> bytes:
-    """The records of a chunk.
+    """Unpack the records of a chunk.
 
-    Neither format need state its size, so no more is unpacked than the chunk does.
+    Neither format needs to contain the size, so no more is unpacked than the chunk declares.
     """
     if chunk.compression not in _UNPACKED:
         raise _ForeignError(

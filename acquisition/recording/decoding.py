@@ -1,21 +1,22 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards, so the stamp of a PDO says little, and a
+A drive samples at SYNC and sends its PDO afterwards. So the timestamp of a PDO says little, and a
 sample has the time of its SYNC:
 
     frames       SYNC  PDO A  PDO B      SYNC  PDO B  PDO A      SYNC  PDO A      SYNC  PDO B ...
     grid         0                       1                       2                3
     samples      0                       1                       -                3
 
-1. **SYNC**: frames of SYNC without repeats and with a period (`recorded_syncs`); a step of several
-   periods is SYNCs that were not recorded (`sync_steps`), which have their place on the grid too,
-   and each place its time, without the delays of reception (`sync_times`).
+1. **SYNC**: frames of SYNC without repeats and with a period (`recorded_syncs`). A step of several
+   periods contains SYNCs that were not recorded (`sync_steps`); they have a place on the grid, too.
+   Each place has a time, without the delays of reception (`sync_times`).
 2. **Answers**: the PDO of each drive that answers a SYNC (`associate`), which may come after the
-   next one. A SYNC without an answer of each drive, or with uncertain ones, gives no sample.
-3. **Targets**: the one that a drive had at SYNC is the last one that was sent before.
-4. **Samples**: the integers of the answers; position counters that wrap count on; codecs make them
-   SI at the motor, and the motor matrix SI at the joint. They are made block by block on demand,
-   because those of an hour do not fit in memory: what is kept is the rows of their frames.
+   next one. A SYNC without an answer of each drive, or with uncertain answers, gives no sample.
+3. **Targets**: the target that a drive had at SYNC is the last one that was sent before.
+4. **Samples**: the integers of the answers, where position counters continue across wraps. Codecs
+   convert them to SI at the motor, and the motor matrix to SI at the joint. Samples are made block
+   by block on demand, because those of an hour do not fit in memory: only the rows of their frames
+   are kept.
 """
 
 from collections import Counter
@@ -62,19 +63,20 @@ class Decoded:
     """Joint samples, made on demand, and their completeness and jitter.
 
     Attributes:
-        rows: for each PDO the (N,) frames that samples are made of. SYNCs without an answer of each
-            drive, or with uncertain answers, are left out.
+        rows: for each PDO the (N,) frames of the samples. SYNCs without an answer of each drive, or
+            with uncertain answers, are left out.
         stamps: (N,) times of the SYNCs in ns.
-        late: (N,) whether a PDO that is missing or doubled within the next `MAX_RUN_SYNCS`
-            would leave out the row.
-        targets: for each drive the (N,) frames of its current targets, -1 before the first;
-            None without a reference.
-        pdos: for each PDO, by its name, the frames `received`, and by `LOSSES` those that were
-            late, duplicate, too short, or missing between the first and the last SYNC.
-        syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
-        jitter_s: standard and largest deviation of the recorded times from
-            uniform ones, between pauses.
-        warnings: for the user, one line each.
+        late: (N,) whether a PDO that is missing or duplicate within the next `MAX_RUN_SYNCS` would
+            remove the row.
+        targets: for each drive the (N,) frames of its current targets, -1 before the first; None
+            without a reference.
+        pdos: for each PDO, by its name, the number of frames `received`, and by `LOSSES` of those
+            that were late, duplicate, too short, or missing between the first and the last SYNC.
+        syncs: number of SYNC frames recorded.
+        syncs_lost: number of SYNCs that were not recorded.
+        jitter_s: standard and largest deviation of the recorded times from uniform ones, between
+            pauses.
+        warnings: warnings for the user, one line each.
     """
 
     traffic: Traffic
@@ -96,7 +98,7 @@ class Decoded:
         return np.concatenate(list(self.blocks()))
 
     def blocks(self) -> Iterator[Block]:
-        """Rows of `sample_dtype`, some thousands at a time."""
+        """Yield rows of `sample_dtype`, some thousands at a time."""
         begin = (
             0
             if self.targets is None
@@ -109,7 +111,7 @@ class Decoded:
             yield samples
 
     def _raw(self) -> Iterator[Block]:
-        """The integers of the drives, as `joint_samples` takes them."""
+        """Yield the integers of the drives, as `joint_samples` needs them."""
         names = ["position", "effort", *["target"] * (self.targets is not None)]
         layout = [("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)]
         for first in range(0, len(self.stamps), _AT_ONCE):
@@ -151,15 +153,24 @@ class Decoded:
 def decode(
     frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE
 ) -> Decoded:
-    """Joint samples from the raw frames (m,) of one CAN channel, rows of `FRAME` in the order in
-    which they were received.
+    """Decode joint samples from the raw frames of one CAN channel.
 
-    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V
-    if no drive gain is known), at the joints; with `reference` if all drives received targets
-    (607Ah or as described). At most the share `max_missing` of the PDOs of a drive may be
-    missing; `place` is the file or session. Raises `BadInputError`: there is no SYNC, a drive
-    never answered, too many PDOs are missing, fewer than two samples remain, or the SYNC period
-    is not the described one.
+    There is one sample for each SYNC whose answers by all drives are known: rad or m, and N m or N
+    (A or V if a drive gain is unknown), at the joints; with `reference` if all drives received
+    targets (607Ah, or the object in robot.toml).
+
+    Parameters
+    ----------
+    frames : (m,) rows of `FRAME` in the order in which they were received.
+    robot : the robot.
+    bus : its drives.
+    place : name of the file or session in errors.
+    max_missing : largest share of the PDOs of a drive that may be missing.
+
+    Raises
+    ------
+    BadInputError : there is no SYNC, a drive never answered, too many PDOs are missing, fewer than
+        two samples remain, or the SYNC period is not that of robot.toml.
     """
     traffic = Traffic(frames)
     times_of = partial(traffic.at, "time_ns")
@@ -250,7 +261,7 @@ def _frames_of(
 
 
 def _refuse_missing(answers: Answers, max_missing: float, place: str) -> None:
-    """Refuse frames of which too many are missing for certain rows, or that have too few rows."""
+    """Refuse frames if too many are missing for certain rows, or if there are too few rows."""
     Location(place).require(
         answers.missing_share <= max_missing
         or all(lost["missing"] <= MAX_MISSING_COUNT for lost in answers.losses),
@@ -272,14 +283,14 @@ def _integers(
     entry: ObjectEntry,
     part: slice = slice(None),
 ) -> Ints:
-    """A part of the integers of a drive's object, in the `rows` of its PDO."""
+    """Return a part of the integers of a drive's object, in the `rows` of its PDO."""
     carrier = drive.carrier(entry, "tpdo")
     assert carrier is not None  # `resolve` refuses drives without one
     return traffic.integers(rows[carrier][part], carrier, entry)
 
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
-    """PDOs that hold positions and efforts, each with its name for messages."""
+    """Return the PDOs that carry positions and efforts, each with its name for messages."""
     return {
         pdo: f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
         for drive in bus.drives
@@ -289,7 +300,7 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
 
 
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
-    """Warnings about position counters that wrapped."""
+    """Yield warnings about position counters that wrapped."""
     for drive in bus.drives:
         position = _integers(traffic, rows_of, drive, drive.position)
         if len(wraps := unwrap(position, drive.position.bits)[1]):
@@ -302,8 +313,10 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
 def _targets(
     traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus
 ) -> list[Rows] | None:
-    """Frame of each drive's last target before the SYNC of a sample, -1 if none; None if a
-    drive receives none or few.
+    """Return the frame of each drive's last target before the SYNC of a sample, -1 if there is
+    none.
+
+    None if a drive receives none or few.
     """
     # grid index of the SYNC after as many SYNC frames
     targets, following = [], np.append(index_of, index_of[-1] + 1)
@@ -321,8 +334,17 @@ def _targets(
 def refuse_period(
     measured_s: float, stated_s: float, place: str, steps_s: Array, what: str = "SYNC"
 ) -> None:
-    """Refuse a period other than the described one: rates and filters are computed from the
-    description. It is wrong only if most steps (k,) are as long as the measured period.
+    """Refuse a period other than that of robot.toml, from which rates and filters are computed.
+
+    It is wrong only if most steps are as long as the measured period.
+
+    Parameters
+    ----------
+    measured_s : measured period in s.
+    stated_s : period in robot.toml in s.
+    place : name of the recording in errors.
+    steps_s : (k,) steps between the times in s.
+    what : name of what has the period.
     """
     if abs(measured_s / stated_s - 1) <= MAX_PERIOD_ERROR:
         return

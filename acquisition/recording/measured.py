@@ -1,10 +1,11 @@
-"""Rows that nobody measured: efforts that a bus lost, rows that somebody interpolated, and gaps.
+"""Rows that were not measured: efforts that a bus lost, rows that were interpolated, and gaps.
 
-Efforts were lost where those of all motors are exactly 0, or that of one repeats exactly for long,
-while the robot moves. Efforts that were filled in lie on one cubic, as a straight line does. Coarse
-ammeters repeat by chance, and logs that are faster than their drives repeat regularly: a stretch of
-repeats counts where chance makes none as long and where those beside it differ. A simulation
-without noise has constant and cubic efforts where its motion is simple, so only zeros count there.
+Efforts were lost where those of all motors are exactly 0, or where that of one motor repeats
+exactly for long, while the robot moves. Efforts that were filled in lie on one cubic, as a straight
+line does. Coarse ammeters repeat randomly, and logs that are faster than their drives repeat
+regularly: a stretch of repeats counts only if it is longer than random ones and if the rows beside
+it differ. A simulation without noise has constant and cubic efforts where its motion is simple, so
+only zeros count there.
 """
 
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ MIN_ROUGH, MOST_ROWS, MIN_TRAVEL, MAX_OFF = 0.5, 100_000, 0.02, 0.5
 
 
 def in_gaps(times: Array, grid: Array) -> Bools:
-    """Whether instants `grid` (M,) lie in a gap between rows at growing `times` (N,)."""
+    """Test which instants `grid` (M,) lie in a gap between rows at growing `times` (N,)."""
     steps, after = np.diff(times), np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
     return np.asarray(
         (steps[after - 1] > (MAX_GAP + 0.5) * np.median(steps)) & (grid < times[after])
@@ -38,10 +39,17 @@ def in_gaps(times: Array, grid: Array) -> Bools:
 
 
 def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bools, str]:
-    """Which rows (N,) were measured, and in words how many were not, or are missing, and why.
+    """Find the rows that were measured.
 
-    By growing `stamp_ns` (N,), `position` and `effort` (N, n) at the joints. The words are empty
-    where all were measured, without a gap.
+    Parameters
+    ----------
+    rows : growing `stamp_ns` (N,), and `position` and `effort` (N, n) at the joints.
+    robot : the robot.
+
+    Returns
+    -------
+    A mask (N,) of the measured rows; and in words how many were not measured or are missing, and
+        why. The words are empty if all rows were measured, without a gap.
     """
     t_s, q = 1e-9 * (rows["stamp_ns"] - rows["stamp_ns"][0]), rows["position"]
     lost, filled = _lost_and_filled(q, rows["effort"], robot)
@@ -71,8 +79,8 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
 
 
 def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bools]:
-    """Rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost, and rows
-    that were filled in.
+    """Find rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost, and
+    rows that were filled in.
     """
     to_motors, lost = np.linalg.inv(robot.R), np.zeros(len(q), dtype=bool)
     motor, zero = by_rows(lambda x: x @ to_motors, effort), by_rows(lambda x: x == 0, effort)
@@ -113,8 +121,10 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
 
 
 def _alike(differences: Array, least: float, q: Array, typical: Array) -> Bools:
-    """Which `differences` (N - k,), in units of rounding, are none in a stretch of at least so many
-    in which the robot moves, by its positions q (N, n), and beside which they are some.
+    """Find stretches in which `differences` (N - k,), in units of rounding, are zero.
+
+    A stretch counts if it has at least `least` of them, the robot moves in it, by its positions q
+    (N, n), and most differences beside it are not zero.
     """
     found, order = np.zeros(len(differences), dtype=bool), len(q) - len(differences)
     for first, last in _runs(differences <= 1, least):
@@ -126,11 +136,11 @@ def _alike(differences: Array, least: float, q: Array, typical: Array) -> Bools:
 
 
 def _moves(q: Array, typical: Array) -> bool:
-    """Whether a joint moves in the rows q (k, n), for `typical` steps (n,)."""
+    """Test whether a joint moves in the rows q (k, n), compared with `typical` steps (n,)."""
     return bool((np.ptp(q, axis=0) > MIN_TRAVEL * typical * (len(q) - 1)).any())
 
 
 def _runs(x: Bools, least: float = 1) -> list[list[int]]:
-    """First and last place, exclusive, of each stretch of at least so many true ones."""
+    """Return first and last place, exclusive, of each run of at least `least` true ones."""
     runs = np.flatnonzero(np.diff(np.pad(x, 1).astype(np.int8))).reshape(-1, 2)
     return list(runs[np.diff(runs)[:, 0] >= least].tolist())

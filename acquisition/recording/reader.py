@@ -1,9 +1,11 @@
-"""Reads a recording, up to the cut if the file has no end; writes a changed copy; and follows one
-while it is written, from the file alone: new rows, events and counters.
+"""Reading of recordings; writing of changed copies; and following of a recording while it is
+written.
 
-The last seconds of frames are decoded again with each block. Rows are given once, and no earlier
-than later frames can change them: PDOs that are late at the end of a block are awaited, and behind
-a gap and where PDOs are late as many SYNCs as `associate` looks ahead.
+A file without its end is read up to there. A growing one is followed from the file alone: new rows,
+events and counters. The last seconds of its frames are decoded again with each block. Rows are
+returned once, when later frames cannot change them any more: PDOs that are late at the end of a
+block are awaited, and behind a gap and where PDOs are late as many SYNCs as `associate` looks
+ahead.
 """
 
 import json
@@ -55,7 +57,7 @@ MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that happened: a session phase, a drive's emergency message, an operator's mark."""
+    """An event: a session phase, a drive's emergency message, an operator's annotation."""
 
     stamp_ns: int = 0  # of its message, in which are the others
     kind: str
@@ -72,16 +74,22 @@ class Health:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """What a recording holds.
+    """Content of a recording.
 
     Attributes:
-        samples: rows of `sample_dtype` with strictly increasing stamps, joint side,
-            SI; None without samples.
+        samples: rows of `sample_dtype` with strictly increasing timestamps, joint side, SI; None
+            without samples.
         frames: rows of `FRAME` by CAN channel.
-        capture: a file of pcap with EtherCAT frames; empty without.
-        attachments: by name; names are labels, never paths.
-        payload: what the robot carried; None: nothing.
-        cut: the file has no end; this is what was written before the cut.
+        capture: a pcap file with EtherCAT frames; empty without them.
+        events: session phases, warnings and annotations.
+        health: counters of the recorder.
+        metadata: the metadata record.
+        attachments: content by name; names are labels, never paths.
+        robot: the robot.
+        payload: what the robot carried; None if nothing.
+        sample_rate_hz: nominal sample rate in Hz.
+        cut: whether the file has no end, so that this is what was written before.
+        sha256: digest of the file, hexadecimal.
     """
 
     samples: Block | None
@@ -99,8 +107,8 @@ class Recording:
 
     @property
     def began(self) -> datetime | None:
-        """Start of the recording: its first stamp if stamps are dates, else the creation of its
-        file; None if unknown.
+        """Start of the recording: its first timestamp if timestamps are dates, otherwise the
+        creation of its file; None if unknown.
         """
         if self.samples is not None and (self.samples["stamp_ns"][:1] >= FIRST_DATE_NS).any():
             return datetime.fromtimestamp(int(self.samples["stamp_ns"][0]) // 1000 / 1e6, UTC)
@@ -111,7 +119,7 @@ class Recording:
 
     @property
     def no_samples(self) -> str:
-        """The reason why there are no samples, as recorded."""
+        """The recorded reason for missing samples."""
         return next(
             (e.text for e in reversed(self.events) if e.text.startswith(NO_SAMPLES)),
             "the recording contains no samples",
@@ -119,7 +127,7 @@ class Recording:
 
     @property
     def effort_timing(self) -> EffortTiming:
-        """The instants that efforts belong to, as the recording states."""
+        """The instants to which efforts belong, as recorded."""
         return next(
             (
                 timing
@@ -157,14 +165,20 @@ class Recording:
 def read_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording and check its CRCs.
 
-    Older schema versions are read too. A file without its end is read up to
-    the cut, with `cut` set.
+    Older schema versions are read, too. A file without its end is read up to there, with `cut` set.
+
+    Parameters
+    ----------
+    path : the file.
+
+    Returns
+    -------
+    The content of the recording.
 
     Raises
     ------
-    BadInputError
-        The file cannot be read, is no recording, is damaged, has a newer schema version, or has
-        blocks that do not fit their layout.
+    BadInputError : the file cannot be read, is not a recording, is damaged, has a newer schema
+        version, or has blocks that do not fit their layout.
     """
     path = Path(path)
     place = Location(str(path))
@@ -212,8 +226,9 @@ def read_recording(path: str | PathLike[str]) -> Recording:
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
-    """Concatenated rows of a known layout, compared as text, never evaluated; further objects of
-    old versions are skipped. Errors name `place`.
+    """Concatenate rows of a known layout, which is compared as text, never evaluated.
+
+    Further objects of old versions are skipped. `place` is the name of the recording in errors.
     """
     earlier = _EXTRA.fullmatch(blocks.layout)
     text, skipped = (f"{earlier[1]}]", int(earlier[2])) if earlier else (blocks.layout, 0)
@@ -235,7 +250,7 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
 def events_of(
     topics: Mapping[str, Messages], path: Path
 ) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
-    """Events and counters in messages by topic."""
+    """Decode events and counters in messages by topic."""
     return (
         tuple(
             msgspec.structs.replace(event, stamp_ns=stamp)
@@ -283,8 +298,10 @@ def _payload(metadata: Mapping[str, str], place: Location) -> Payload | None:
 def rewritten(
     recording: Recording, header: Header, out: Path, *, without: str = ""
 ) -> Iterator[RecordingWriter]:
-    """Copy frames, health and events (except those of the kind `without`) of a recording; the
-    block writes the samples. `out` is written whole or not at all.
+    """Copy frames, health and events (except those of the kind `without`) of a recording; the block
+    writes the samples.
+
+    `out` is written whole or not at all.
     """
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():
@@ -302,10 +319,9 @@ def rewritten(
 class RecordingFollower:
     """A recording that is being written at `path`.
 
-    After each `read`, `rows`, `events` and `health` are the new ones.
-
-    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the
-    description is not written yet.
+    After each `read`, `rows`, `events` and `health` are the new ones, and `problem` is the reason
+    for missing rows. The constructor raises `BadInputError` as `read` does, and if the description
+    is not written yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -332,9 +348,11 @@ class RecordingFollower:
         self.health: tuple[Health, ...] = ()
 
     def read(self) -> bool:
-        """Whether the file has grown.
+        """Read what is new; return whether the file has grown.
 
-        Raises `BadInputError`: it is gone, cut, replaced or damaged.
+        Raises
+        ------
+        BadInputError : the file was removed, truncated, replaced or damaged.
         """
         grown, topics = self._content.read(), self._content.take()
         self.ended = self._content.complete

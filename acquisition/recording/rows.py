@@ -1,5 +1,5 @@
 """Rows of recordings, raw CAN frames and joint samples, as numpy dtypes, and their checks; frames
-by PDO, and what the drives have mapped by them; samples from the integers of drives.
+by PDO, and the PDO mapping that they contain; samples from the integers of drives.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -40,8 +40,8 @@ Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Time for `missing` samples between row `row` and the next, at `stamp_ns` of row `row`;
-    `late`: SYNC came late.
+    """A gap of `missing` samples between row `row` and the next, at `stamp_ns` of row `row`; `late`
+    if only SYNC was late.
     """
 
     row: int
@@ -57,8 +57,8 @@ OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
 def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> np.dtype[np.void]:
-    """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of
-    `OPTIONAL`, (n,) each.
+    """Return the dtype of a row of samples of `n` joints: `stamp_ns`; `position`, `effort`,
+    `reference` and fields of `OPTIONAL`, (n,) each.
     """
     names = [
         "position",
@@ -70,10 +70,14 @@ def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> 
 
 
 def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:
-    """Gaps: consecutive stamps more than 1.5 periods apart.
+    """Find gaps: consecutive timestamps more than 1.5 periods apart.
 
-    A gap is `late` if no other SYNC of `sync_ns`, those that this master sent, lies in it; without
-    `sync_ns`, if it is no multiple of the period.
+    Parameters
+    ----------
+    samples : rows of `sample_dtype`.
+    sample_rate_hz : nominal sample rate in Hz.
+    sync_ns : times of the SYNCs that this master sent. A gap is `late` if no other one lies in it;
+        without `sync_ns`, if it is not a multiple of the period.
     """
     stamps = samples["stamp_ns"]
     periods = np.diff(stamps) * (sample_rate_hz * 1e-9)
@@ -97,15 +101,16 @@ def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> 
 
 
 def in_parts(rows: Block) -> Iterator[Block]:
-    """Parts of the rows that fit in memory."""
+    """Yield parts of the rows that fit in memory."""
     for first in range(0, len(rows), _AT_ONCE):
         yield rows[first : first + _AT_ONCE]
         release_pages(rows)
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
-    """Refuse stamps that do not grow from `after_ns`, and values that are not
-    finite; errors name `place`.
+    """Refuse timestamps that do not grow from `after_ns`, and values that are not finite.
+
+    `place` is the name of the recording in errors.
     """
     for k, rows in enumerate(in_parts(samples)):
         stamps = rows["stamp_ns"]
@@ -127,7 +132,10 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
 
 
 def check_frames(frames: Block, place: str) -> None:
-    """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
+    """Refuse frames longer than 8 bytes and times before 0.
+
+    `place` is the name of the recording in errors.
+    """
     for k, rows in enumerate(in_parts(frames)):
         if len(bad := np.flatnonzero((rows["length"] > 8) | (rows["time_ns"] < 0))):
             Location(f"{place}: row {k * _AT_ONCE + bad[0] + 1}").refuse(
@@ -138,7 +146,7 @@ def check_frames(frames: Block, place: str) -> None:
 
 
 class Traffic:
-    """`frames` of one channel and their 11-bit identifiers `ids` (len(frames),).
+    """The `frames` of one channel and their 11-bit identifiers `ids` (len(frames),).
 
     Error frames, extended frames and remote requests have the identifier 0xFFFF.
     """
@@ -153,23 +161,23 @@ class Traffic:
         )
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
-        """Rows of the frames that hold the whole PDO, and the number of those
-        that are too short for it.
+        """Return the rows of the frames that contain the whole PDO, and the number of those that
+        are too short.
         """
         rows = self.rows_of(pdo.can_id)
         whole = self.at("length", rows) >= pdo.length
         return kept(rows[whole]), int(np.count_nonzero(~whole))
 
     def rows_of(self, can_id: int) -> Rows:
-        """Rows of the frames with an identifier."""
+        """Return the rows of the frames with an identifier."""
         return kept(np.flatnonzero(self.ids == can_id).astype(np.int32))
 
     def at(self, field: str, rows: Rows) -> NDArray[Any]:
-        """A field of the frames `rows`."""
+        """Return a field of the frames `rows`."""
         return self._take(self.frames[field], rows)
 
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
-        """The integers of one object in the frames `rows`."""
+        """Extract the integers of one object from the frames `rows`."""
         # One strided field over the rows in place: three times as fast as copying the
         # bytes of each frame.
         only = np.dtype(
@@ -192,11 +200,11 @@ class Traffic:
 
 
 def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]:
-    """Return the frames, and the drives with what they have mapped in them.
+    """Return the frames, and the drives with the PDO mapping in them.
 
-    If a drive is mapped by traffic, these are the frames between two changes of what is mapped,
-    with most PDOs of the log; others are left out with a warning. In a log without answers what a
-    master wrote counts, with a warning. Raises `BadInputError` as `resolve`.
+    If a drive is mapped by traffic, these are the frames between two changes of the mapping that
+    have most PDOs of the log. Others are left out with a warning. In a log without answers the
+    mapping is what a master wrote, with a warning. Raise `BadInputError` as `resolve`.
     """
     traffic = Traffic(frames)
     pdos = (traffic.ids > 0x180) & (traffic.ids < ANSWER)
@@ -227,14 +235,14 @@ def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]
 
 
 def _changed(drives: Mapping[int, Confirmed], can_id: int, data: bytes) -> bool:
-    """Whether a frame changed what one of the drives has mapped."""
+    """Process a frame; return whether it changed the mapping of one of the drives."""
     node = can_id & 0x7F or data[1]  # NMT has it in its data, 0 for all
     changes = [drive.take(can_id & 0x780, data) for k, drive in drives.items() if node in (0, k)]
     return any(changes)
 
 
 def _mapping_rows(traffic: Traffic) -> Rows:
-    """Frames that say what is mapped: SDO about `SDO_OBJECTS`, and starts and resets of drives."""
+    """Find frames about the mapping: SDO about `SDO_OBJECTS`, and starts and resets of drives."""
     rows = np.flatnonzero(
         np.isin(traffic.ids & 0xFF80, (ANSWER, REQUEST, HEARTBEAT)) | (traffic.ids == 0)
     ).astype(np.int32)
@@ -248,8 +256,9 @@ def _mapping_rows(traffic: Traffic) -> Rows:
 
 
 def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts without the wraps of a counter of `bits`, steps beyond half its range, and the
-    rows at which it wraps.
+    """Return counts without the wraps of a counter of `bits`, and the rows at which it wraps.
+
+    A step of more than half its range is a wrap.
     """
     steps = np.diff(counts)
     wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
@@ -261,9 +270,16 @@ def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
 
 
 def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
-    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and
-    `position`, `effort` and perhaps `target` (n,). Position counters that wrap count on; targets
-    wrap as the position does, and the nearest one is taken.
+    """Compute rows of `sample_dtype` from the integers of drives.
+
+    Position counters that wrap continue. Targets wrap as the position does, and the nearest one is
+    used.
+
+    Parameters
+    ----------
+    raw : consecutive rows of `stamp_ns`, and `position`, `effort` and perhaps `target` (n,).
+    robot : the robot.
+    bus : its drives.
     """
     # for each drive: raw position of the row before, and the counts added to it
     last: list[tuple[int, int]] = []

@@ -18,12 +18,12 @@ _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
 
 def overview(recording: Recording) -> dict[str, Any]:
-    """The content of `robot-acquire info` as plain data; stamps are the recording's, tables
-    count them from `first_ns`.
+    """Collect the content of `robot-acquire info` as plain data.
 
-    `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the
-    steps between samples without gaps. `first_ns`: of the first sample, else of the first frame,
-    else None. `health`: the last counters. `attachments`: sizes in bytes by name.
+    `joints` has lowest and highest values. `step_jitter_s` is the standard and the largest
+    deviation of the steps between samples without gaps. `first_ns` is the time of the first sample,
+    or of the first frame, or None; tables count timestamps from it. `health` has the last counters,
+    `attachments` the sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
     joints: list[dict[str, Any]] = []
@@ -91,14 +91,14 @@ def overview(recording: Recording) -> dict[str, Any]:
 
 
 def _ranges(rows: Block, field: str) -> list[tuple[float, float]]:
-    """Lowest and highest value of each column of a field."""
+    """Compute lowest and highest value of each column of a field."""
     ends = [(part[field].min(axis=0), part[field].max(axis=0)) for part in in_parts(rows)]
     lows, highs = (np.array(end).reshape(len(ends), -1) for end in zip(*ends, strict=True))
     return list(zip(lows.min(axis=0).tolist(), highs.max(axis=0).tolist(), strict=True))
 
 
 def _own_syncs(recording: Recording) -> Ints | None:
-    """Times of the SYNCs that this master sent; None without any."""
+    """Return the times of the SYNCs that this master sent; None without any."""
     bus = recording.robot.bus
     found = [
         part["time_ns"][(part["can_id"] == bus.sync_can_id) & ((part["flags"] & SENT) != 0)]
@@ -110,8 +110,8 @@ def _own_syncs(recording: Recording) -> Ints | None:
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
-    """Standard and largest deviation of the steps between samples from the
-    median, without gaps; s.
+    """Compute the standard and largest deviation of the steps between samples from the median in s,
+    without gaps.
     """
     steps = np.diff(stamps).astype(np.float64)
     if not len(steps):
@@ -122,8 +122,9 @@ def _step_jitter(stamps: Ints) -> tuple[float, float]:
 
 
 def as_tables(found: Mapping[str, Any]) -> Group:
-    """The overview for a terminal. Texts from the file are shown as plain text,
-    without control characters.
+    """Format the overview for a terminal.
+
+    Texts from the file are shown as plain text, without control characters.
     """
     first = "sample" if found["samples"] else "frame"
     since = "at, s" if found["first_ns"] is None else f"s from the first {first}"
@@ -206,7 +207,7 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
-    """Texts without markup and without control characters, numbers in five digits."""
+    """Make a table: texts without markup and control characters, numbers in five digits."""
     table = Table(
         *(Column(column, overflow="fold") for column in columns),  # wraps long hashes and names
         box=None,

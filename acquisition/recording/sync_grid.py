@@ -1,10 +1,11 @@
 """The grid of SYNC: the time of each SYNC, and the intervals between them.
 
 **Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending.
-Another producer sends SYNC by its own timer: the receive times contain delays of reception, which
+Another producer sends SYNC by its own timer. Its receive times contain delays of reception, which
 are never negative and do not last. So a SYNC came no later than each later SYNC minus the whole
-periods between them. A step that lasts remains in the times: a pause of the producer as a gap; and
-where all later SYNCs would make many in a row late, its timer began again, or sent one more.
+periods between them. A step that lasts remains in the times: a pause of the producer is a gap. If
+all later SYNCs would make many in a row late, the timer of the producer began again, or it sent an
+additional SYNC.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -41,10 +42,10 @@ class Syncs:
     """Recorded SYNC frames.
 
     Attributes:
-        rows: (k,) of the frames.
-        times: (k,) in ns.
-        ours: whether this master sent them all.
-        period: between SYNCs in ns, about.
+        rows: (k,) rows of the frames.
+        times: (k,) times in ns.
+        ours: whether this master sent all of them.
+        period: approximate period in ns.
     """
 
     rows: Rows
@@ -58,14 +59,14 @@ class SyncTimes:
     """The grid of SYNC in time.
 
     Attributes:
-        stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs
-            that were not recorded.
-        period_s: between SYNCs, pauses left out.
-        jitter_s: standard and largest deviation of the recorded times from
-            uniform ones, between pauses.
+        stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs that were
+            not recorded.
+        period_s: period in s, without pauses.
+        jitter_s: standard and largest deviation of the recorded times from uniform ones, between
+            pauses.
         pauses: grid indices before a pause of more than 1.5 periods.
-        set_back: grid index and size in s of each step back of the clock; such a
-            step counts as one period.
+        set_back: grid index and size in s of each step back of the clock; such a step counts as one
+            period.
     """
 
     stamps: Ints
@@ -87,7 +88,15 @@ class Intervals:
 
 
 def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> SyncTimes:
-    """Times of all `grid` SYNCs from those recorded, and their grid indices."""
+    """Compute the times of all `grid` SYNCs.
+
+    Parameters
+    ----------
+    syncs : the recorded SYNCs.
+    index_of : (k,) their grid indices.
+    grid : number of SYNCs.
+    nominal_ns : period in robot.toml in ns.
+    """
     times, set_back = _remove_set_back(syncs.times, index_of)
     since = kept((times - times[0]).astype(np.float64))
     freed, run, within = _remove_delays(index_of, since, syncs.period)
@@ -114,7 +123,7 @@ def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> Sync
 
 
 def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
-    """Times with each step back replaced by one period, and the steps back."""
+    """Replace each step back in the times by one period; also return the steps back."""
     steps = np.diff(times)
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
     jumps = np.where(steps < 0, usual - steps, 0)
@@ -125,8 +134,9 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
 
 
 def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Ints, float]:
-    """Times without delays, which do not last, the run between pauses that each SYNC belongs to,
-    and the period within runs.
+    """Remove delays, which do not last, from the times.
+
+    Also return the run between pauses to which each SYNC belongs, and the period within runs.
     """
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
         freed, run = _freed(since - index * period, period, ahead)
@@ -143,11 +153,11 @@ def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Int
 
 
 def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
-    """Deviations without the delays that the next `ahead` SYNCs show, and the run of each SYNC:
-    after a step that lasts there is another.
+    """Remove the delays that the next `ahead` SYNCs reveal from deviations; also return the run of
+    each SYNC: after a step that lasts there is another one.
 
-    A step to later times is a pause, or a SYNC was not recorded. One to earlier times, that would
-    make all SYNCs before late, is an additional SYNC or another timer.
+    A step to later times is a pause, or a SYNC was not recorded. A step to earlier times, which
+    would make all SYNCs before it late, is an additional SYNC or another timer.
     """
     (few, most), least = _LOOKAHEAD_SYNCS, minimum_ahead(deviation, ahead)
     # the last SYNCs before a pause keep their delays
@@ -163,7 +173,7 @@ def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
 
 
 def _mean_of_run(values: Array | Ints, run: Ints) -> Array | float:
-    """The mean of each value's run."""
+    """Compute the mean of each value's run."""
     return (
         np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
         if run[-1]
@@ -172,7 +182,9 @@ def _mean_of_run(values: Array | Ints, run: Ints) -> Array | float:
 
 
 def _slope(index: Ints, since: Array, run: Ints) -> float:
-    """Least-squares slope over the index, one for all runs; each run has its own offset."""
+    """Fit the slope over the index by least squares, one for all runs; each run has its own
+    offset.
+    """
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
     return (
@@ -183,7 +195,10 @@ def _slope(index: Ints, since: Array, run: Ints) -> float:
 
 
 def minimum_ahead(values: NDArray[Number], ahead: int, run: Ints | None = None) -> NDArray[Number]:
-    """Minimum of each value and the next `ahead` of the same run, a power of two minus one."""
+    """Compute the minimum of each value and the next `ahead` of the same run.
+
+    `ahead` is a power of two minus one.
+    """
     least = kept(values)
     step = 1
     while step <= ahead:
@@ -200,22 +215,23 @@ def minimum_ahead(values: NDArray[Number], ahead: int, run: Ints | None = None) 
 def minimum_behind(
     values: NDArray[Number], behind: int, run: Ints | None = None
 ) -> NDArray[Number]:
-    """Minimum of each value and the `behind` before it, as `minimum_ahead`."""
+    """Compute the minimum of each value and the `behind` before it, as `minimum_ahead`."""
     return minimum_ahead(values[::-1], behind, None if run is None else run[::-1])[::-1]
 
 
 def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
-    """Interval of each frame, -1 before the first; not stored, because those of all
-    PDOs need much memory.
+    """Return the interval of each frame, -1 before the first.
+
+    It is not stored, because the intervals of all PDOs need much memory.
     """
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
 def usual_period(times: Ints, nominal_ns: int) -> float:
-    """Return the period of recorded SYNCs in ns: the median of single steps, of some in a row and
-    of the whole, whichever is nearest to the described one.
+    """Estimate the period of recorded SYNCs in ns: the median of single steps, of some in a row and
+    of the whole, whichever is nearest to the nominal one.
 
-    Lost SYNCs and pauses lengthen long spans, and bursts make single steps short.
+    Lost SYNCs and pauses lengthen long steps, and bursts make single steps short.
     """
     found = (
         float(np.median(times[n:] - times[:-n])) / n
@@ -225,12 +241,16 @@ def usual_period(times: Ints, nominal_ns: int) -> float:
 
 
 def recorded_syncs(syncs: Syncs, pdos: Iterable[Rows]) -> Syncs:
-    """The SYNC frames of which two that changed places are set right, and repeats by another
-    producer are left out; `pdos`: frames by PDO.
+    """Swap SYNC frames back that changed places, and remove repeats by another producer.
 
-    A repeat comes too early, though the one before it was not late, and the two have one set of
-    answers between them. Either is enough if the other is uncertain: a SYNC that is read late makes
-    the next one early, and PDOs may be lost, late or doubled.
+    A repeat comes too early, although the one before it was not late, and the two have one set of
+    answers between them. One of these signs is enough if the other is uncertain: a SYNC that is
+    read late makes the next one early, and PDOs may be lost, late or duplicate.
+
+    Parameters
+    ----------
+    syncs : the SYNC frames.
+    pdos : frames by PDO.
     """
     times, period = syncs.times, syncs.period
     back = np.flatnonzero(np.diff(times[:-1]) < 0)
@@ -259,8 +279,10 @@ def recorded_syncs(syncs: Syncs, pdos: Iterable[Rows]) -> Syncs:
 
 
 def _fewer_answers(pdo: Rows, sync_rows: Rows, early: Bools) -> Rows:
-    """For each SYNC 1 if a drive stays behind by more answers after its group of SYNCs, and 1 more
-    if it is behind by more right after the group; a group is a SYNC with the `early` ones behind.
+    """Count the signs of a repeat in the answers of a drive, 0 to 2 per SYNC.
+
+    A group is a SYNC with the `early` ones behind it. One sign is that the drive stays behind by
+    more answers after the group; another is that it is behind by more right after the group.
     """
     first = np.append(np.flatnonzero(~early), len(early))
     behind = first - np.searchsorted(pdo, np.append(sync_rows, np.iinfo(np.int32).max)[first])
@@ -269,11 +291,16 @@ def _fewer_answers(pdo: Rows, sync_rows: Rows, early: Bools) -> Rows:
 
 
 def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
-    """Frames of a PDO after the first SYNC without repeats, and the repeats; `data`
-    (len(rows), 8): their bytes.
+    """Split the frames of a PDO after the first SYNC into those without repeats, and the repeats.
 
-    A frame repeats the one before if both are of one interval, have equal bytes, and differ from
+    A frame repeats the one before if both are in one interval, have equal bytes, and differ from
     the frames before and after.
+
+    Parameters
+    ----------
+    rows : frames of the PDO.
+    sync_rows : frames of SYNC.
+    data : (len(rows), 8) bytes of the frames.
     """
     interval = interval_of(rows, sync_rows)
     again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
@@ -289,12 +316,17 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
 
 
 def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints]) -> Intervals:
-    """Intervals between SYNC frames.
+    """Find the intervals between SYNC frames, and the SYNCs lost in them.
 
-    A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC
-    late (`ours`): then, as after the last SYNC, SYNCs count as lost if most drives answered
-    each of them. Whole periods without an answer are a pause, too. `pdos`: frames by PDO;
-    `times_of`: their times.
+    If another producer sends SYNC, a step of whole periods contains as many SYNCs. This master may
+    have sent SYNC late (`ours`): then, and after the last SYNC, SYNCs count as lost if most drives
+    answered each of them. Whole periods without an answer are a pause.
+
+    Parameters
+    ----------
+    syncs : the recorded SYNCs.
+    pdos : frames by PDO.
+    times_of : function that returns the times of frames in ns.
     """
     times, period = syncs.times, syncs.period
     steps = np.ones(len(times), np.int32)
@@ -347,7 +379,9 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
 
 
 def _lasting_periods(times: Ints, period: float) -> Array:
-    """Periods from each SYNC to the next that last: a delay is made up for by the next ones."""
+    """Compute the periods from each SYNC to the next that last: the next steps make up for a
+    delay.
+    """
     index = np.arange(len(times))
     even, _ = _remove_set_back(times, index)
     freed, run, period = _remove_delays(index, (even - times[0]).astype(np.float64), period)
@@ -357,8 +391,8 @@ def _lasting_periods(times: Ints, period: float) -> Array:
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
-    """Periods from each SYNC frame to the next by the counter in them (object 1019h): from 1
-    to its overflow value.
+    """Count the periods from each SYNC frame to the next by the counter in them (object 1019h),
+    which runs from 1 to its overflow value.
     """
     top, steps = int(counter.max()), np.ones(len(counter), np.int32)
     if top > 1:

@@ -1,10 +1,10 @@
-"""Writes a recording, one MCAP file with everything a fit needs; defines what
-writer and reader share.
+"""Writing of a recording, one MCAP file with everything that a fit needs; definitions that writer
+and reader share.
 
-The README has a table of the channels. The metadata record `recording` and the attachments
-(`robot.toml`, the URDF) are written before the data, so that a file without its end can be read.
-Blocks are numpy rows, which need far less space than a message per row; the text of their schema is
-the numpy dtype's `descr`.
+The guide on recordings has a table of the channels. The metadata record `recording` and the
+attachments (`robot.toml`, the URDF) are written before the data, so that a file without its end can
+be read. Blocks are numpy rows, which need far less space than a message per row; the text of their
+schema is the numpy dtype's `descr`.
 """
 
 import json
@@ -60,13 +60,16 @@ class Header:
     """The part of a recording before its data.
 
     Attributes:
+        robot: the robot.
         source: origin of the data, as text.
-        effort_provenance: object, reference or actual, raw unit, rated value and rule
-            of each effort, as text.
+        sample_rate_hz: nominal sample rate in Hz.
+        effort_provenance: object, reference or actual, raw unit, rated value and rule of each
+            effort, as text.
+        effort_timing: instants to which efforts belong.
         payload: what the robot carried; JSON of its fields in the metadata.
-        notes: further metadata by key (bus, bitrate); keys of the header itself are overwritten.
-        attachments: files by name, in addition to the robot's own, which replace others of the
-            same name.
+        notes: further metadata by key (bus, bit rate); keys of the header itself are overwritten.
+        attachments: files by name, in addition to the robot's own, which replace others of the same
+            name.
     """
 
     robot: Robot
@@ -102,7 +105,7 @@ class Header:
 
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
-    """All row layouts that samples of a robot may have."""
+    """Return all row layouts that samples of a robot may have."""
     columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
     return [
         sample_dtype(len(robot.joints), reference=reference, optional=optional)
@@ -112,9 +115,9 @@ def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
 
 
 def metadata_crc(metadata: Mapping[str, str]) -> str:
-    """CRC of all entries but itself.
+    """Compute the CRC of all other entries.
 
-    The CRC of MCAP for its metadata is at the end, which a cut file has lost.
+    The CRC that MCAP has for its metadata is at the end, which a truncated file has lost.
     """
     entries = sorted((key, value) for key, value in metadata.items() if key != "crc32")
     return f"{zlib.crc32(json.dumps(entries).encode()):08x}"
@@ -133,13 +136,12 @@ def _software() -> str:
 
 
 class RecordingWriter(AbstractContextManager["RecordingWriter"]):
-    """Writes a recording; a context manager.
+    """A writer of a recording; a context manager.
 
-    `flush` makes what was written so far survive a kill or a power cut.
-
-    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files
-    do (use `atomic_write` if the file must be written whole or not at all), and `BadInputError` for
-    blocks that do not fit.
+    `flush` makes everything so far survive a kill or a power cut. Metadata and attachments are on
+    the disk when the constructor returns. Methods raise `OSError` as files do (use `atomic_write`
+    if the file must be written whole or not at all), and `BadInputError` for blocks that do not
+    fit.
     """
 
     def __init__(self, path: Path, header: Header) -> None:
@@ -198,8 +200,8 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
                 self._joint_states("/joint_states/reference", shown, "reference", False)
 
     def columns(self, stamp_ns: Array | Ints, values: Mapping[str, Array]) -> None:
-        """Add samples at stamps (N,) of `values` (N, n) by field, block by block: hours of them do
-        not fit in memory.
+        """Add samples at timestamps (N,) of `values` (N, n) by field, block by block: hours of them
+        do not fit in memory.
         """
         layout = sample_dtype(self._robot.n, reference="reference" in values, optional=values)
         for first in range(0, len(stamp_ns), BLOCK_ROWS):
@@ -227,8 +229,8 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
                 self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
-        """Add records of pcap; all of them are a file of pcap with nanoseconds, whose
-        head is in the first ones.
+        """Add records of pcap. All of them form a pcap file with nanoseconds, whose head is in the
+        first ones.
         """
         self._add(
             CAPTURE_TOPIC,
@@ -251,12 +253,14 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         )
 
     def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:
-        """Add the recorder's counters; one that is not finite is stored as null and read as NaN."""
+        """Add the recorder's counters. A value that is not finite is stored as null and read as
+        NaN.
+        """
         self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write everything so far to the file, where other programs see it;
-        with `sync` to the disk.
+        """Write everything so far to the file, where other programs see it; with `sync` to the
+        disk.
         """
         self._writer.flush()
         self._file.flush()
@@ -264,12 +268,13 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             os.fsync(self._file.fileno())
 
     def fileno(self) -> int:
-        """Descriptor of the file, which another name may have."""
+        """Return the descriptor of the file, which may have another name by now."""
         return self._file.fileno()
 
     def move_to(self, path: Path) -> None:
-        """Copy the file to `path`, which must not exist, and go on there: the way out for a file
-        that was deleted, which only its descriptor still reaches.
+        """Copy the file to `path`, which must not exist, and continue there.
+
+        This rescues a deleted file, which only its descriptor still reaches.
         """
         self.flush(sync=False)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -280,7 +285,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         self.flush()
 
     def close(self) -> None:
-        """Write the end of the file; does nothing if it is closed."""
+        """Write the end of the file. A closed file is left alone."""
         if self._file.closed:
             return
         with self._file:
@@ -291,7 +296,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def _add(
         self, topic: str, kind: tuple[str, str, str, str], stamp_ns: int, content: bytes
     ) -> None:
-        """Add a message; `kind`: its encoding, the schema's name, encoding and text."""
+        """Add a message; `kind` is its encoding, and name, encoding and text of the schema."""
         if topic not in self._channels:
             encoding, schema, schema_encoding, text = kind
             schema_id = self._writer.register_schema(schema, schema_encoding, text.encode())
@@ -320,7 +325,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         )
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        """Add JointStates, serialized to CDR by the package rosbags."""
+        """Add JointStates, serialised to CDR by the package rosbags."""
         kind, types = ("cdr", JOINT_STATE, "ros2msg", self._joint_state), self._ros.types
         state, time = types[JOINT_STATE], types["builtin_interfaces/msg/Time"]
         header = types["std_msgs/msg/Header"]
@@ -334,5 +339,5 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
 
 
 def _parts(block: Block) -> Iterator[Block]:
-    """Parts small enough for a chunk of about 1 MiB."""
+    """Split a block into parts small enough for a chunk of about 1 MiB."""
     return (block[k : k + 2000] for k in range(0, len(block), 2000))

@@ -1,6 +1,6 @@
 """`[bus]` of robot.toml: the CAN interface, SYNC and the drives, as written in the file.
 
-`drives` resolves it with the object dictionaries.
+`resolving` combines it with the object dictionaries.
 """
 
 import math
@@ -40,9 +40,7 @@ BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000,
 
 
 class PdoFile(TomlTable, frozen=True):
-    """A PDO: its objects in order; `can_id` and `number` (from 1) if they
-    are not the usual ones.
-    """
+    """A PDO: its objects in order, and its identifier and number if they are not the usual ones."""
 
     objects: Annotated[
         tuple[ObjectName, ...], note("mapped objects, in order", min_length=1, max_length=8)
@@ -207,8 +205,8 @@ class DriveFile(TomlTable, frozen=True):
 
     @property
     def extra_objects(self) -> tuple[str, ...]:
-        """The names of `extra`; in older recordings these are tables, with the name and scale
-        of a column of samples.
+        """Names in `extra`. In older recordings these are tables, with the name and scale of a
+        column of samples.
         """
         return tuple(
             extra if isinstance(extra, str) else str(extra.get("object", ""))
@@ -217,8 +215,8 @@ class DriveFile(TomlTable, frozen=True):
 
     @property
     def reports_demand(self) -> bool:
-        """Whether its effort is a torque demand, 6074h of any axis: the
-        value of one control step.
+        """Whether the effort is a torque demand value (6074h of any axis), which is that of one
+        control step.
         """
         return (
             parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND
@@ -226,7 +224,7 @@ class DriveFile(TomlTable, frozen=True):
 
 
 class BusFile(TomlTable, frozen=True):
-    """`[bus]`: python-can's interface and channel, SYNC, the drives."""
+    """`[bus]`: interface and channel of python-can, SYNC, the drives."""
 
     interface: Annotated[Word, note("interface of python-can, such as socketcan or udp_multicast")]
     channel: Annotated[
@@ -319,13 +317,15 @@ class BusFile(TomlTable, frozen=True):
 
     @property
     def mapped_by_traffic(self) -> bool:
-        """Whether PDOs of a drive are known only from the SDO writes of another master."""
+        """Whether PDOs of a drive are only known from the SDO writes of another master."""
         return any(drive.mapping == "traffic" for drive in self.drive)
 
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """(w T)²/3: difference of a torque demand at SYNC from its mean, as a share of the inertia;
-    w: of the position loop.
+    """Compute the difference of a torque demand value at SYNC from its mean, as a share of the
+    inertia.
+
+        (w T)²/3,     w = 2 pi bandwidth_hz,     T = sync_period_s
     """
     # A drive that interpolates its targets linearly deviates from them between two SYNCs, in
     # proportion to the acceleration, and its loops (the velocity loop four times as fast) demand a
@@ -334,7 +334,9 @@ def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
 
 
 def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
-    """A note if the ripple may be large and the effort of a drive is a torque demand."""
+    """Return a note if the ripple may be large and the effort of a drive is a torque demand
+    value.
+    """
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     if (ripple := demand_ripple(bandwidth_hz, bus.sync_period_s)) <= MAX_DEMAND_RIPPLE:
@@ -355,8 +357,9 @@ class _Scanned(msgspec.Struct):
 
 
 def efforts_of_scan(text: bytes, place: str) -> tuple[str, ...]:
-    """Return the unit of the effort of each `[[bus.drive]]`, A, V, N m or N, by its rule or its
-    object; empty where both are still to be filled in. Other keys may be missing or wrong.
+    """Return the unit of the effort of each `[[bus.drive]]`, A, V, N m or N, by its rule or object.
+
+    It is empty where both are still to be filled in. Other keys may be missing or wrong.
     """
     usual = {f"{index:04X}": rule for (index, _), (_, rule, _) in EFFORT_OBJECTS.items()}
 
@@ -370,17 +373,17 @@ def efforts_of_scan(text: bytes, place: str) -> tuple[str, ...]:
 
 
 def parse_object(name: str) -> tuple[int, int]:
-    """Index and sub-index of `6064` or `6064:0`."""
+    """Parse `6064` or `6064:0` into index and sub-index."""
     index, _, sub = name.partition(":")
     return int(index, 16), int(sub or "0")
 
 
 def parse_homed(name: str) -> tuple[int, int, int | None]:
-    """Index, sub-index and bit of `6041.8`; None if the whole object counts."""
+    """Parse `6041.8` into index, sub-index and bit; the bit is None if the whole object counts."""
     entry, _, bit = name.partition(".")
     return *parse_object(entry), int(bit) if bit else None
 
 
 def dictionary_label(name: str) -> str:
-    """Name of a dictionary's attachment in a recording; a label, never a path."""
+    """Return the name of a dictionary's attachment in a recording: a label, never a path."""
     return f"dictionary:{name}"

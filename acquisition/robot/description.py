@@ -1,7 +1,7 @@
-"""`robot.toml` as written in the file: its tables and keys, and the checks
-that types cannot express.
+"""`robot.toml` as written in the file: its tables and keys, and the checks that types cannot
+express.
 
-The layout of the file is that of the `RobotFile` structure below. Angles are degrees here.
+The layout of the file is that of the structure `RobotFile`. Angles are in degrees here.
 """
 
 import math
@@ -17,8 +17,8 @@ from .toml import Name, Positive, TomlTable, note
 
 
 class DH(TomlTable, frozen=True):
-    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d)
-    Rot(z, theta) Trans(z, r).
+    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z,
+    theta) Trans(z, r).
     """
 
     alpha_deg: Annotated[float, note("angle between the joint axes: Rot(x, alpha), deg")]
@@ -30,8 +30,8 @@ class DH(TomlTable, frozen=True):
 
 
 class Capsule(TomlTable, frozen=True):
-    """A cylinder with round ends about a link, in the frame of the link: radius,
-    and the ends of its axis.
+    """A cylinder with round ends around a link: radius, and the ends of its axis in the frame of
+    the link.
     """
 
     radius_m: Annotated[Positive, note("radius, m")]
@@ -65,7 +65,7 @@ _KEYS = {
 
 
 class Joint(TomlTable, frozen=True):
-    """One `[[joint]]`: type, geometry, friction terms and limits; None: not stated."""
+    """One `[[joint]]`: type, geometry, friction terms and limits; None if not given."""
 
     name: Annotated[Name, note("name; with a URDF, that of its joint")]
     type: Annotated[
@@ -151,17 +151,21 @@ class Joint(TomlTable, frozen=True):
 
     @cached_property
     def position_unit(self) -> str:
-        """`rad` or `m`."""
+        """Unit of the position, `rad` or `m`."""
         return "rad" if self.type == "revolute" else "m"
 
     @cached_property
     def one_sided(self) -> bool:
-        """Whether viscous and Coulomb friction differ by direction: `friction = "asymmetric"`."""
+        """Whether viscous and Coulomb friction depend on the direction: `friction =
+        "asymmetric"`.
+        """
         return self.friction == "asymmetric"
 
     @cached_property
     def terms(self) -> tuple[FrictionTerm, ...]:
-        """Friction terms: the list `friction`, else by the keys `viscous`, `coulomb`, `offset`."""
+        """Friction terms: the list `friction`, or those of the keys `viscous`, `coulomb` and
+        `offset`.
+        """
         if isinstance(self.friction, tuple):
             return self.friction
         stated: tuple[tuple[FrictionTerm, bool | None], ...] = (
@@ -172,12 +176,12 @@ class Joint(TomlTable, frozen=True):
         return tuple(term for term, has in stated if has is not False)
 
     def key(self, quantity: str) -> str:
-        """The key of a quantity of `si` in the file: `speed_deg_s`, `effort_n`."""
+        """Return the key of a quantity of `si` in the file, such as `speed_deg_s` or `effort_n`."""
         return _KEYS[self.type][quantity]
 
     def si(self, quantity: str) -> Any:
-        """A quantity of a joint in rad or m (per s, s²), `effort` in N m or
-        N; None if not stated.
+        """Return a quantity of the joint in rad or m (per s, s²), `effort` in N m or N; None if not
+        given.
         """
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort" or value is None:
@@ -186,9 +190,7 @@ class Joint(TomlTable, frozen=True):
 
 
 class Motor(TomlTable, frozen=True):
-    """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit
-    of the recorded effort.
-    """
+    """One `[[motor]]`: its gear ratio, the drive gain, and the unit of the recorded effort."""
 
     name: Annotated[Name, note("name in messages and options")]
     ratio: Annotated[
@@ -242,13 +244,15 @@ class Motor(TomlTable, frozen=True):
 
     @cached_property
     def recorded_unit(self) -> str:
-        """Unit of the effort as recorded: what the drive gain divides by, or `effort_unit`."""
+        """Unit of the recorded effort: the denominator of the drive gain's unit, or
+        `effort_unit`.
+        """
         return self.drive_gain_unit.split("/")[1] if self.drive_gain_unit else str(self.effort_unit)
 
     @cached_property
     def gain(self) -> float | None:
-        """Motor torque or force per unit of recorded effort; 1 if recorded as torque or
-        force; None if unknown.
+        """Motor torque or force per unit of recorded effort; 1 if a torque or force is recorded;
+        None if unknown.
         """
         is_torque = self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
         return 1.0 if is_torque else self.drive_gain

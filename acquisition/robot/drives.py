@@ -1,4 +1,4 @@
-"""The drives of a robot, resolved from the description, and checks."""
+"""The drives of a robot, resolved from the description, and checks of their PDOs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,14 +19,16 @@ POSITION_TYPE = "I32"
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The limits of the joints that a motor moves, at the motor; None if one of them states none.
+    """Limits of the joints that a motor moves, at the motor; None if one of these joints has no
+    limit.
 
     Attributes:
-        speed, acceleration: counts/s and counts/s².
+        speed: counts/s.
+        acceleration: counts/s².
         position: lowest and highest counts.
-        rpm: the speed; None also if the motor slides.
+        rpm: the speed in revolutions per minute; None also if the motor slides.
         counts_per_joint: counts of the motor per degree or metre of its joints, and that unit.
-        ratio: of the motor to its joint, without sign; None if it moves several.
+        ratio: gear ratio of the motor, without sign; None if it moves several joints.
     """
 
     speed: float | None
@@ -43,12 +45,13 @@ class Drive:
 
     Attributes:
         file: its `[[bus.drive]]`.
-        effort: codec of the effort in samples: the reference, or the actual value if no
-            reference is described.
-        tpdos, rpdos: from the drive, to the drive.
+        effort: codec of the recorded effort: the reference, or the actual value without a
+            reference.
+        tpdos: PDOs from the drive.
+        rpdos: PDOs to the drive.
         extras: further objects in the PDOs.
-        dictionary: None if the description states the objects.
-        types: of objects by the description, the dictionary and the standards.
+        dictionary: object dictionary; None if robot.toml lists the objects.
+        types: types of objects by robot.toml, the dictionary and the standards.
     """
 
     file: DriveFile
@@ -68,7 +71,7 @@ class Drive:
 
     @property
     def node(self) -> int:
-        """Its node id."""
+        """Node id."""
         return self.file.node
 
     @property
@@ -87,7 +90,7 @@ class Drive:
 
     @property
     def entries(self) -> Mapping[tuple[int, int], cia.DictionaryEntry]:
-        """Entries of its dictionary, none without one."""
+        """Entries of the dictionary; none without one."""
         return {} if self.dictionary is None else self.dictionary.entries
 
     def size_of(self, index: int, sub: int) -> int:
@@ -95,7 +98,9 @@ class Drive:
         return cia.BITS[self.types.get((index, sub)) or cia.object_type(index, sub)] // 8
 
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
-        """The PDO that carries an object."""
+        """Return the PDO that carries an object (`direction`: `tpdo` or `rpdo`); None if there is
+        none.
+        """
         return next(
             (
                 pdo
@@ -116,7 +121,7 @@ class Bus:
 
     @property
     def period_ns(self) -> int:
-        """SYNC period."""
+        """SYNC period in ns."""
         return round(self.file.sync_period_s * 1e9)
 
     @property
@@ -135,7 +140,7 @@ class Bus:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the drives' dictionaries and PDOs."""
+        """Warnings about the dictionaries and PDOs of the drives."""
         texts = [drive.dictionary.warnings for drive in self.drives if drive.dictionary is not None]
         return tuple(dict.fromkeys((*(text for some in texts for text in some), *self.notes)))
 
@@ -150,7 +155,7 @@ class Bus:
 
 
 def refuse_load(bus: Bus, place: str) -> None:
-    """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
+    """Refuse PDOs that do not fit between two SYNCs. Only sessions that send check this."""
     period_s = bus.file.sync_period_s
     Location(place, "bus").require(
         bus.load <= MAX_LOAD,
@@ -163,8 +168,8 @@ def refuse_load(bus: Bus, place: str) -> None:
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse positions (N, n), a row each SYNC, beyond the range of a drive's target: it would
-    stop while others move on.
+    """Refuse positions (N, n), one row per SYNC, beyond the range of a drive's target: this drive
+    would stop while the others continue.
     """
     low, high = cia.range_of(POSITION_TYPE)
     # values that are not finite are refused below
@@ -231,7 +236,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
 
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
-    """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
+    """Refuse counts per metre for a motor that turns, and counts per turn for one that slides."""
     # The effort, a torque or a force, shows which; for amperes or volts, the joints
     # that the motor moves.
     motor = robot.motors[i]
@@ -260,8 +265,8 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """Offset of a drive's control and status objects from 6040h and 6041h, of one axis: a
-    multiple of 800h (CiA 402-2).
+    """Return the offset of a drive's control and status objects from 6040h and 6041h: a multiple of
+    800h (CiA 402-2), the same for both.
     """
     axis = drive.control.index - cia.CONTROLWORD
     if (
@@ -278,15 +283,16 @@ def axis_of(drive: Drive) -> int:
 
 
 def axis_index(drive: Drive, index: int) -> int:
-    """Index of an object of CiA 402 for the axis of a drive, also if its control object
-    is not the standard's.
+    """Return the index of an object of CiA 402 for the axis of a drive.
+
+    The control object of the drive need not be that of the standard.
     """
     return (index + drive.control.index - cia.CONTROLWORD) & 0xFFFF
 
 
 def check_carriers(bus: Bus) -> None:
-    """Refuse PDOs to the drives without the objects that tracking needs, or with others:
-    these would be set to 0.
+    """Refuse PDOs to the drives that lack an object that tracking needs, or that carry others:
+    tracking would set these to 0.
     """
     for drive in bus.drives:
         at = Location(f"node {drive.node}")

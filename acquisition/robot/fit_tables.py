@@ -1,9 +1,9 @@
-"""What only a fit and a simulation read of `robot.toml`: friction terms, each as a function of
-speed, and the tables controller, identification and payload.
+"""Tables of robot.toml that only a fit and a simulation read: controller, identification and
+payload; and friction terms, each as a function of speed.
 
 To add a term, add its name to `FrictionTerm` and its row to `FRICTION`: descriptions, models,
-intervals, charts and exports take it from there. Viscous friction and offsets act through matrices,
-without a row.
+intervals, charts and exports take it from there. Viscous friction and offsets act through matrices
+and have no row.
 """
 
 from collections.abc import Callable
@@ -26,9 +26,8 @@ Gains = tuple[float, ...] | None
 
 
 class Controller(TomlTable, frozen=True):
-    """`[controller]`: how the drives follow their reference.
-
-    Least squares needs only `bandwidth_hz`.
+    """`[controller]`: how the drives follow their reference. Least squares needs only
+    `bandwidth_hz`.
     """
 
     bandwidth_hz: Annotated[
@@ -79,13 +78,13 @@ class Controller(TomlTable, frozen=True):
 
     @property
     def gains(self) -> dict[str, Gains]:
-        """The gains by name; None where one is not stated."""
+        """Controller gains by name; None where one is not given."""
         return {name: getattr(self, name) for name in GAINS}
 
 
 class LowSpeed(TomlTable, frozen=True):
-    """Percentage of the peak speed below which samples weigh nothing in least squares and in
-    iv; None: the default.
+    """Percentage of the peak speed below which samples have zero weight in least squares and in iv;
+    None for the default.
     """
 
     ls: Annotated[
@@ -98,8 +97,8 @@ class LowSpeed(TomlTable, frozen=True):
 
 
 class Identification(TomlTable, frozen=True):
-    """`[identification]`: overrides of the defaults of a fit; options of the
-    command override both.
+    """`[identification]`: settings that replace the defaults of a fit; options of the command
+    replace both.
     """
 
     cutoff_hz: Annotated[
@@ -153,14 +152,12 @@ class Identification(TomlTable, frozen=True):
 
 
 def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
-    """A low-speed threshold by method, from one number for both or one for each."""
+    """Return a low-speed threshold by method, from one number for both or one for each."""
     return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
 class PayloadFile(TomlTable, frozen=True):
-    """`[payload]`: how the numbers of `--payload` are meant: the frame of the centre of mass, and
-    how well it was weighed.
-    """
+    """`[payload]`: frame of the centre of mass in `--payload`, and the accuracy of its numbers."""
 
     frame: Annotated[
         Name | None,
@@ -185,15 +182,17 @@ class Friction:
     """A friction term as a function of the speed u along a direction of joints or of a motor.
 
     Attributes:
-        name: of its parameter; `motor_name` for a motor that turns with several joints, "" if
-            such a motor has none.
-        unit: of the parameter, from {effort} and {length}.
-        size: per unit of the parameter, of |u|, the described speed and the
-            size of the links' torque; None: 1 at any speed, as of Coulomb friction.
-        slope: its derivative by |u|, of |u| and the described speed.
-        has_sign: the term is sign(u) size, which jumps or is steep at 0; false for |u| alone, which
-            a simulated robot knows as viscous friction by direction.
-        is_steep: the slope is infinite at 0.
+        name: name of its parameter.
+        motor_name: name for a motor that moves several joints; "" if such a motor does not have
+            this term.
+        unit: unit of the parameter, made of {effort} and {length}.
+        size: value per unit of the parameter, a function of |u|, the specified speed and the size
+            of the links' torque; None for 1 at any speed, as in Coulomb friction.
+        slope: derivative of `size` by |u|, a function of |u| and the specified speed.
+        has_sign: whether the term is sign(u) size, which jumps or is steep at 0. False for a
+            function of |u| alone, which a simulated robot implements as viscous friction that
+            depends on the direction.
+        is_steep: whether the slope is infinite at 0.
     """
 
     name: str

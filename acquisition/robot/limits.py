@@ -1,8 +1,8 @@
-"""Limits of the description: efforts of joints and drives; recorded positions,
-speeds and efforts checked.
+"""Limits of the description: efforts of joints and drives; checks of recorded positions, speeds and
+efforts.
 
-Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a
-counter that wraps, a foreign sample. A small overshoot of a stated limit only gives a warning.
+Impossible positions have causes that a fit does not detect: degrees read as radians, a wrong ratio,
+a counter that wraps, a foreign sample. A small overshoot of a limit only gives a warning.
 """
 
 import math
@@ -37,13 +37,13 @@ _MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffortLimits:
-    """Largest efforts: |directions tau| <= limits, tau (n,) the joint efforts.
+    """Largest efforts: |directions tau| <= limits, with the joint efforts tau (n,).
 
     Attributes:
-        names: (m,) of joints, and of motors that act on several joints.
-        directions: (m, n) of the joint efforts.
-        limits: (m,) N m or N; A or V if the drive gain is not known.
-        units: (m,) of the limits.
+        names: (m,) names of joints, and of motors that act on several joints.
+        directions: (m, n) directions of the joint efforts.
+        limits: (m,) limits in N m or N; A or V if the drive gain is unknown.
+        units: (m,) units of the limits.
     """
 
     names: tuple[str, ...]
@@ -53,12 +53,12 @@ class EffortLimits:
 
 
 def effort_limits(robot: Robot) -> EffortLimits:
-    """Limits of a robot's efforts: at each joint the smaller of the stated limit and the
-    `saturation` of its drive.
+    """Collect the limits of a robot's efforts.
 
-    For coupled joints, the effort of a motor is a sum over joints, and its limit applies to that
-    sum. Stated efforts, in N m or N, are not used if the drive gain is not known. The rated effort,
-    which drives exceed for seconds, and the range of the object that reports it are no limits.
+    The limit of a joint is the smaller of its own limit and the `saturation` of its drive. In
+    coupled joints the effort of a motor is a sum over joints, and its limit applies to that sum.
+    Limits of joints, in N m or N, are not used if the drive gain is unknown. Neither the rated
+    effort, which drives exceed for seconds, nor the range of the object that reports it is a limit.
     """
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
@@ -88,12 +88,23 @@ def effort_limits(robot: Robot) -> EffortLimits:
 
 
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
-    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small
-    overshoots of limits, or 57 times as much would suit them.
+    """Check joint positions against the limits, and their speeds.
 
-    Raises `BadInputError` with `place`, joint, time, value, limit and the remedy, if a position
-    exceeds its limits by over half the joint's range, or a joint is over three times as fast as its
-    limit; noise of samples is subtracted.
+    Parameters
+    ----------
+    robot : the robot, with its limits.
+    stamp_s : (N,) times in s.
+    q : (N, n) joint positions in rad or m.
+    place : name of the recording in errors.
+
+    Returns
+    -------
+    Warnings: small overshoots of limits, or that positions may be radians declared as degrees.
+
+    Raises
+    ------
+    BadInputError : a position exceeds its limits by more than half the joint's range, or a joint is
+        more than three times as fast as its limit. The noise of samples is subtracted.
     """
     overshoots, at, step_s = [], Location(place), np.diff(stamp_s)
     step_s = np.maximum(step_s, np.median(step_s)) if len(step_s) else step_s
@@ -111,7 +122,7 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
 
 
 def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
-    """Warnings about joint efforts (N, n) that exceed a limit by a fifth or more: a
+    """Return warnings about joint efforts (N, n) of at least 1.2 times their limit, which show a
     wrong gain, ratio or unit.
     """
     limits = effort_limits(robot)
@@ -128,8 +139,19 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
 def check_recorded_velocities(
     robot: Robot, q: Array, v: Array, rate_hz: float, place: str
 ) -> tuple[str, ...]:
-    """Warnings about speeds v (N, n) unlike the derivative of q (N, n), rad or m; wrong units
-    and signs are refused.
+    """Return warnings about speeds that differ from the derivative of the positions.
+
+    Parameters
+    ----------
+    robot : the robot.
+    q : (N, n) joint positions in rad or m.
+    v : (N, n) joint speeds in rad/s or m/s.
+    rate_hz : sample rate in Hz.
+    place : name of the recording in errors.
+
+    Raises
+    ------
+    BadInputError : a speed has a wrong unit or sign.
     """
     h = 1 / rate_hz
     step = max(1, round(SPEED_WINDOW_S / h))
@@ -161,8 +183,9 @@ def check_recorded_velocities(
 
 
 def _travels(q: Array, moved: float) -> bool:
-    """Whether positions q (N,) move more than by rounding and noise; `moved`: sum of squared
-    changes over the window.
+    """Test whether positions q (N,) change by more than rounding and noise.
+
+    `moved` is the sum of squared changes over the window.
     """
     steps = np.abs(np.diff(q))
     noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # unit noise has third differences of sqrt(20)
@@ -172,7 +195,7 @@ def _travels(q: Array, moved: float) -> bool:
 
 
 def _shown(joint: Joint, value: float) -> str:
-    """A position in the unit of the description, deg or m."""
+    """Format a position in the unit of the description, deg or m."""
     return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
 
 

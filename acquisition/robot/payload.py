@@ -1,6 +1,4 @@
-"""The payload of a recording: a weighed mass that the last link carries, and where
-its centre of mass is.
-"""
+"""The payload of a recording: a weighed mass that the last link carries, and its centre of mass."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,18 +16,16 @@ CENTER_HALF_WIDTH_M = 0.005  # of a centre of mass by drawing or by hand
 
 @dataclass(frozen=True)
 class Payload:
-    """A mass fixed to the last link.
-
-    Its ranges are checked where it is parsed or read, not where it is made.
+    """A mass fixed to the last link. Its ranges are checked where it is parsed or read.
 
     Attributes:
-        mass_kg: None: unknown.
-        center_of_mass_m: None: unknown.
-        frame: fixed link of the URDF in which the centre of mass is given; None:
-            frame of the last joint.
-        mass_half_width_kg: half-width of the mass's 95 % interval.
-        center_half_width_m: half-width of the 95 % interval of each coordinate of the
-            centre of mass; 0: exact.
+        mass_kg: mass in kg; None if unknown.
+        center_of_mass_m: coordinates of the centre of mass in m; None if unknown.
+        frame: fixed link of the URDF in which the centre of mass is given; None for the frame of
+            the last joint.
+        mass_half_width_kg: 95 % half-width of the mass in kg.
+        center_half_width_m: 95 % half-width of each coordinate of the centre of mass in m; 0 if
+            exact.
     """
 
     mass_kg: Mass | None
@@ -40,8 +36,8 @@ class Payload:
 
     @property
     def text(self) -> str:
-        """As options state it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if not the
-        default; or `unknown`.
+        """Return the payload as options give it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if that is
+        not the default; or `unknown`.
         """
         center, mass = ",".join(map(repr, self.center_of_mass_m or ())), self.mass_kg or "unknown"
         width = (
@@ -52,7 +48,7 @@ class Payload:
         return f"{mass}@{center}{width}" if center else f"{mass}"
 
     def describe(self, last_joint: str = "the last joint") -> str:
-        """For people: `2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in tool0`."""
+        """Describe the payload for people: `2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in tool0`."""
         width = f" ± {self.mass_half_width_kg:g}" if self.mass_half_width_kg else ""
         mass = "unknown mass" if self.mass_kg is None else f"{self.mass_kg:g}{width} kg"
         if self.center_of_mass_m is None:
@@ -66,10 +62,17 @@ class Payload:
 
 
 def parse_payload(text: str, robot: Robot, key: str = "payload") -> Payload:
-    """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of
-    the robot's `[payload]`.
+    """Parse a payload, with the frame and half-widths of the robot's `[payload]`.
 
-    Raises `BadInputError` with `key`, the text as `value`, and `expected`.
+    Parameters
+    ----------
+    text : `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF`, in kg and m.
+    robot : the robot that carries it.
+    key : argument that gives it, for errors.
+
+    Raises
+    ------
+    BadInputError : the text is not a payload, or a number is outside its range.
     """
     mass, at, center = text.partition("@")
     center, within, half_width = center.partition("+-")

@@ -21,11 +21,18 @@ LIMIT_SHARE = 0.8  # of a joint's stated range and speed
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FourierReference:
-    """q_j(t) = center_j + sum_k sine_jk sin(k w t) + cosine_jk (cos(k w t) -
-    1), w = 2 pi / period_s.
+    """A Fourier series for each joint.
 
-    `sine` and `cosine` are (n, H), rad or m. The coefficients make speed and
-    acceleration zero at t = 0.
+        q_j(t) = center_j + sum_k sine_jk sin(k w t) + cosine_jk (cos(k w t) - 1),
+        w = 2 pi / period_s
+
+    The coefficients make speed and acceleration zero at t = 0.
+
+    Attributes:
+        period_s: period in s.
+        center: (n,) positions at t = 0, rad or m.
+        sine: (n, H) coefficients, rad or m.
+        cosine: (n, H) coefficients, rad or m.
     """
 
     period_s: float
@@ -34,7 +41,7 @@ class FourierReference:
     cosine: Array
 
     def at(self, t_s: Array) -> tuple[Array, Array, Array]:
-        """Position, speed and acceleration, each (N, n), at the times t_s (N,)."""
+        """Compute position, speed and acceleration, each (N, n), at the times t_s (N,)."""
         k = np.arange(1, self.sine.shape[1] + 1) * 2 * np.pi / self.period_s
         phase = np.outer(t_s, k)
         sin, cos = np.sin(phase), np.cos(phase)
@@ -53,11 +60,19 @@ def fourier_reference(
     harmonics: int = HARMONICS,
     share: float = LIMIT_SHARE,
 ) -> FourierReference:
-    """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed
-    and acceleration; rad or m.
+    """Draw a random Fourier series for each joint, from rest to rest.
 
-    The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the
-    period is not positive or a joint states no range.
+    Parameters
+    ----------
+    robot : the robot; each joint needs a position range.
+    period_s : period in s.
+    seed : seed; the same one gives the same series.
+    harmonics : number of harmonics, at least 2.
+    share : share of each joint's range, speed and acceleration limit that is used.
+
+    Raises
+    ------
+    BadInputError : the period is not positive, or a joint has no range.
     """
     Location("").require(period_s > 0, "period_s", period_s, "greater than 0")
     for i, joint in enumerate(robot.joints):
@@ -95,13 +110,20 @@ MAX_PATH_VALUES = 10**8  # numbers in it, a position of each joint at each SYNC:
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
-    """Joint positions (N, n) along a table, with cubic splines between its rows, one row
-    each `period_s`; rad or m.
+    """Read joint positions (N, n) along a table, one row per SYNC, with cubic splines between its
+    rows.
 
-    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] slows the path
-    down: speeds are multiplied by it, accelerations by its square. Raises `BadInputError` if the
-    table cannot be read, its time does not grow, it is longer than a day or than memory allows, or
-    has no spline through its numbers.
+    Parameters
+    ----------
+    path : CSV file with `time_s`, then each joint by name, in rad or m.
+    robot : the robot.
+    period_s : SYNC period in s.
+    speed : factor in (0, 1] of all speeds; its square applies to accelerations.
+
+    Raises
+    ------
+    BadInputError : the table cannot be read, its time does not grow, it lasts longer than a day or
+        than memory allows, or no spline leads through its numbers.
     """
     from scipy.interpolate import CubicSpline
 
@@ -135,7 +157,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 
 
 def missing_limits(robot: Robot) -> list[str]:
-    """Return the limits that motion needs and the description does not state, in words."""
+    """List the limits that motion needs and the description does not give, in words."""
     return [
         f"joint[{i}] ({joint.name}) has no {quantity.replace('_', ' ')} limit"
         for i, joint in enumerate(robot.joints)
@@ -145,8 +167,8 @@ def missing_limits(robot: Robot) -> list[str]:
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or
-    acceleration, or has none.
+    """Refuse a path (N, n) from rest to rest, rad or m, that exceeds limits of position, speed or
+    acceleration, or for which limits are missing.
     """
     for problem in missing_limits(robot):
         Location(place).refuse(text=problem, advice="Add it to robot.toml before motion")
@@ -173,8 +195,10 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move (N, n), of minimum jerk, from rest at `start` to rest at `end` (n,);
-    obstacles are not checked.
+    """Compute a slow straight move (N, n) of minimum jerk, from rest at `start` to rest at `end`
+    (n,).
+
+    Obstacles are not checked.
     """
     distance = np.abs(end - start)
     speed, acceleration = (
@@ -194,11 +218,11 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
 def follow(
     path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]
 ) -> Iterator[Array]:
-    """Joint positions (n,) along a path (N, n), one for each SYNC; if `stopping()` is true, the
-    motion slows down to rest.
+    """Yield joint positions (n,) along a path (N, n), one per SYNC. Slow down to rest once
+    `stopping()` is true.
 
-    It slows down along the path, by at most half of the joints' acceleration limits in addition to
-    the path's own acceleration.
+    The motion slows down along the path. This adds at most half of the joints' acceleration limits
+    to the path's own acceleration.
     """
     at, rate = 0.0, 1.0
     speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
@@ -215,7 +239,7 @@ def follow(
 
 
 def _between(path: Array, at: float) -> Array:
-    """Row of a path at a fractional index, by linear interpolation."""
+    """Interpolate a path linearly at a fractional index."""
     k = min(int(at), len(path) - 2) if len(path) > 1 else 0
     then = path[min(k + 1, len(path) - 1)]
     return np.asarray(path[k] + (at - k) * (then - path[k]))

@@ -1,21 +1,23 @@
-"""Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive.
+"""Resolving of `[bus]` and the object dictionaries into PDOs and codecs of every drive.
 
-A drive speaks of objects in raw integers, robot.toml of joints in degrees and metres. Three sources
-say what an object is, each more exactly than the one before:
+The objects of a drive are raw integers, while robot.toml describes joints in degrees and metres.
+Three sources define an object, each more exactly than the one before:
 
     CiA 301 and 402     types of the usual objects, usual identifiers of the PDOs
     dictionary (EDS)    types of all objects of the drive; a DCF also the PDOs that it has
-    robot.toml          objects that are meant, with types of its own; rated values, counts, signs
+    robot.toml          the objects that are used, with types of its own; rated values, counts,
+                        signs
 
-- **Objects**: where a drive has a dictionary, an object that is neither in it nor in robot.toml is
-  refused, also if it is a usual one. Without its type it cannot be cut out of a frame.
-- **PDOs**: by `mapping`. "table": those of robot.toml, else as few as possible. "dictionary": those
-  that values in the DCF describe. "traffic": those that the drive confirmed to another master; a
-  session, which sees none, has none. A PDO from the drive must carry each object of a sample.
+- **Objects**: if a drive has a dictionary, an object that is neither in it nor in robot.toml is
+  refused, even a usual one. Without its type it cannot be extracted from a frame.
+- **PDOs** are those of `mapping`. "table": the PDOs in robot.toml, or as few as possible.
+  "dictionary": those in the values of the DCF. "traffic": those that the drive confirmed to another
+  master; a session does not see these, and has none. A PDO from the drive must carry each object of
+  a sample.
 - **Codecs**: the effort is raw integer x rule x rated value x sign, in the unit of the motor; the
   position is (counts - zero) x sign / counts per radian or metre.
-- **Limits** of the joints hold for the motors too: a row of the motor matrix R adds up the speeds
-  of the joints that the motor moves, and has its extreme positions in a corner of their ranges.
+- **Limits** of the joints apply to the motors too: a row of the motor matrix R adds the speeds of
+  the joints that the motor moves, and its extreme positions are at a corner of their ranges.
 """
 
 from collections.abc import Collection, Mapping
@@ -32,10 +34,18 @@ from .robot import Robot
 
 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | None = None) -> Bus:
-    """The drives of `robot` with their PDOs and codecs.
+    """Resolve the drives of a robot, with their PDOs and codecs.
 
-    `traffic` is what the drives of a log confirmed, by node: for drives with `mapping = "traffic"`,
-    and for a warning where another mapping is not that.
+    Parameters
+    ----------
+    robot : the robot, with `[bus]`.
+    place : name of the description in errors.
+    traffic : what the drives of a log confirmed, by node. It gives the PDOs of drives with `mapping
+        = "traffic"`, and warnings where another mapping differs from it.
+
+    Raises
+    ------
+    BadInputError : there is no `[bus]`, an object is unknown, or PDOs do not fit.
     """
     written = Location(place).given(
         robot.bus,
@@ -66,8 +76,8 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
 
 
 def _limit(robot: Robot, i: int, quantity: str) -> float | None:
-    """The limit of a motor: the sum over the joints that it moves; None if
-    one of them states none.
+    """Return the limit of a motor, the sum over the joints that it moves; None if one has no
+    limit.
     """
     ratios = [abs(r) for r in robot.R[i]]
     limits = [x.si(quantity) if r else 0.0 for r, x in zip(ratios, robot.joints, strict=True)]
@@ -79,8 +89,8 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
 
 
 def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:
-    """Lowest and highest counts of a motor within the position limits of the joints that it
-    moves; None if one of them states none.
+    """Return lowest and highest counts of a motor within the position limits of the joints that it
+    moves; None if one of them has no limits.
     """
     limits = [
         joint.si("position") if r else (0.0, 0.0)
@@ -96,8 +106,12 @@ def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[flo
 
 @dataclass(frozen=True, kw_only=True)
 class _Objects:
-    """The objects of a drive: their `types`, those of them that robot.toml may name as `usable`;
-    `at`: the table of the drive, for errors.
+    """The objects of a drive.
+
+    Attributes:
+        types: their types.
+        usable: those that robot.toml may name.
+        at: table of the drive, for errors.
     """
 
     file: DriveFile
@@ -107,7 +121,7 @@ class _Objects:
     at: Location
 
     def entry(self, key: str, name: str) -> cia.ObjectEntry:
-        """Return the object with this name, which a key of the table states."""
+        """Return the object with this name, which a key of the table gives."""
         number = parse_object(name)
         if number not in self.usable:
             why = "its type is not known"
@@ -230,8 +244,8 @@ def _motion(robot: Robot, i: int, file: DriveFile, codec: cia.PositionCodec) -> 
 def _pdos(
     way: str, objects: _Objects, mapped: cia.Values, default: tuple[cia.ObjectEntry, ...]
 ) -> tuple[cia.Pdo, ...]:
-    """Return the PDOs of one direction, as `mapped` or as described, else as few as possible with
-    the `default` objects in order.
+    """Return the PDOs of one direction: as `mapped`, as given in robot.toml, or as few as possible
+    with the `default` objects in order.
     """
     pdos, at = [], objects.at
     if objects.file.mapping != "table":

@@ -1,6 +1,6 @@
 """The robot of a description: joints, motors, the matrix between them, gains, limits.
 
-SI, angles in radians.
+SI units, angles in radians.
 """
 
 import math
@@ -52,8 +52,8 @@ _MESH = "mesh:"
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """What does not move: a shape about the base, and the height of the ground in its frame,
-    against gravity; None: not stated.
+    """The part that does not move: its shape, and the height of the ground in its frame, against
+    gravity; None if not given.
     """
 
     capsule: Capsule | None = None
@@ -62,19 +62,20 @@ class Base:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A validated robot. `n` joints and as many motors.
+    """A validated robot with `n` joints and as many motors.
 
     Attributes:
         R: motor matrix (n, n): motor speed = R · joint speed, joint torque = Rᵀ · motor torque.
-        gravity: (3,) m/s², in the base frame.
-        parameters: a-priori standard parameters by name, SI; may be empty.
-        payload: how the numbers of a payload are meant.
-        base: what does not move.
-        identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that
-            replace those of the motors.
+        gravity: (3,) gravity in the base frame, m/s².
+        parameters: a priori standard parameters by name, SI; may be empty.
+        payload: frame and accuracy of payloads.
+        base: the part that does not move.
+        identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that replace
+            those of the motors.
         bus: `[bus]` of the file, None without it; `resolve` makes the drives.
-        files: the files of the description by name (`robot.toml`, the URDF and its
-            meshes, object dictionaries).
+        files: files of the description by name (`robot.toml`, the URDF and its meshes, object
+            dictionaries).
+        urdf: text of the URDF; None without one.
     """
 
     name: str
@@ -99,7 +100,9 @@ class Robot:
         )
 
     def mesh(self, name: str) -> bytes | None:
-        """Content of a mesh by its name in the URDF; None if the robot does not include it."""
+        """Return the content of a mesh by its name in the URDF; None if the robot does not include
+        it.
+        """
         return self.files.get(f"{_MESH}{name}")
 
     @cached_property
@@ -109,12 +112,14 @@ class Robot:
 
     @cached_property
     def zero(self) -> Array:
-        """Positions (n,) added to inv(R) q_motor, rad or m."""
+        """Joint positions (n,) at motor position 0, rad or m."""
         return np.broadcast_to([j.si("zero") or 0.0 for j in self.joints], self.n)  # read-only
 
     @cached_property
     def bandwidth_hz(self) -> float:
-        """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
+        """Bandwidth of the position loop in Hz; `BadInputError` if the description does not give
+        it.
+        """
         if self.controller.bandwidth_hz is None:
             Location(f"robot {self.name}").refuse(
                 "controller.bandwidth_hz",
@@ -130,7 +135,7 @@ class Robot:
 
     @cached_property
     def gain(self) -> Array:
-        """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
+        """Drive gains (n,), motor torque per unit of recorded effort; ones if unknown."""
         return (
             np.broadcast_to(  # read-only
                 [1.0 if m.gain is None else m.gain for m in self.motors], self.n
@@ -141,14 +146,14 @@ class Robot:
 
     @cached_property
     def saturation(self) -> Array:
-        """Limits (n,) of the motors' efforts, as recorded; infinite where none is stated."""
+        """Limits (n,) of the motors' efforts, as recorded; infinite without a limit."""
         return np.broadcast_to(  # read-only, as the robot is
             [np.inf if m.saturation is None else m.saturation for m in self.motors], self.n
         )
 
     @cached_property
     def effort_units(self) -> tuple[str, ...]:
-        """Unit of each joint's effort: N m or N if the drive gains are known, else A or V."""
+        """Unit of each joint's effort: N m or N if the drive gains are known, otherwise A or V."""
         return (
             tuple("N m" if j.type == "revolute" else "N" for j in self.joints)
             if self.gain_known
@@ -156,30 +161,35 @@ class Robot:
         )
 
     def joint_position(self, q_motor: Array) -> Array:
-        """Joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor + zero."""
+        """Compute joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor +
+        zero.
+        """
         return np.linalg.solve(self.R, q_motor.T).T + self.zero
 
     def joint_velocity(self, dq_motor: Array) -> Array:
-        """Joint speeds (N, n) in rad/s or m/s from motor speeds (N, n): inv(R) dq_motor."""
+        """Compute joint speeds (N, n) in rad/s or m/s from motor speeds (N, n): inv(R) dq_motor."""
         return np.asarray(np.linalg.solve(self.R, dq_motor.T).T)
 
     def motor_velocity(self, dq: Array) -> Array:
-        """Motor speeds (N, n) from joint speeds (N, n); the inverse of `joint_velocity`."""
+        """Compute motor speeds (N, n) from joint speeds (N, n); the inverse of `joint_velocity`."""
         return np.asarray(dq @ self.R.T)
 
     def motor_position(self, q: Array) -> Array:
-        """Motor positions (N, n) from joint positions (N, n); the inverse of `joint_position`."""
+        """Compute motor positions (N, n) from joint positions (N, n); the inverse of
+        `joint_position`.
+        """
         return (q - self.zero) @ self.R.T
 
     def joint_effort(self, effort_motor: Array) -> Array:
-        """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V if
-        the gain is not known.
+        """Compute joint efforts (N, n) from recorded motor efforts v (N, n): Rᵀ G v.
+
+        They are in A or V if the gain is unknown.
         """
         return (effort_motor * self.gain) @ self.R
 
     def motor_effort(self, effort: Array) -> Array:
-        """Motor efforts (N, n) in the recorded unit from joint efforts (N, n); the
-        inverse of `joint_effort`.
+        """Compute motor efforts (N, n) in the recorded unit from joint efforts (N, n); the inverse
+        of `joint_effort`.
         """
         return np.linalg.solve(self.R.T, effort.T).T / self.gain
 
@@ -189,16 +199,16 @@ def load_robot(path: str | PathLike[str]) -> Robot:
 
     Parameters
     ----------
-    path : of robot.toml; the other files are in the same folder.
+    path : path of robot.toml; the other files are in the same folder.
 
     Returns
     -------
-    The robot, SI and radians, checked.
+    The checked robot, in SI units and radians.
 
     Raises
     ------
-    BadInputError
-        With `place` (the file), `key`, `value` and `expected`.
+    BadInputError : a file cannot be read, or a key is wrong; with `place` (the file), `key`,
+        `value`, and what is expected or advised.
     """
     path = Path(path)
     place = Location(str(path))
@@ -277,11 +287,17 @@ def _companion(path: Path, name: str, key: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from its files by name, as in a recording; `place` names the
-    description in errors.
+    """Build a robot from its files by name, as in a recording.
 
-    They are `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and
-    `dictionary:<name>`; of a dry run `simulated_controller.toml`.
+    Parameters
+    ----------
+    files : `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and
+        `dictionary:<name>`; of a dry run also `simulated_controller.toml`.
+    place : name of the description in errors.
+
+    Raises
+    ------
+    BadInputError : a file is missing, or a key is wrong.
     """
     at = Location(place)
     if "robot.toml" not in files:
@@ -353,8 +369,10 @@ def lines_to_fill_in(robot: Robot) -> list[int]:
 
 
 def marks_of_motion(text: str) -> list[int]:
-    """Return the same of a robot.toml that need not load yet: marks of `[bus]` and `[[motor]]`, the
-    comments above these tables, and limits of joints.
+    """Return the numbers of these lines in a robot.toml that need not load yet.
+
+    They are marks in `[bus]` and `[[motor]]`, in the comments above these tables, and in limits of
+    joints.
     """
     found, above, inside = [], list[int](), False
     for number, line in enumerate(text.splitlines(), 1):
@@ -367,7 +385,7 @@ def marks_of_motion(text: str) -> list[int]:
 
 
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Location) -> tuple[Joint, ...]:
-    """Joints without an effort limit get that of the URDF, unless it is 0 or missing."""
+    """Give joints without an effort limit that of the URDF, unless it is 0 or missing."""
     try:
         # not of transmissions
         limits = {

@@ -1,5 +1,5 @@
-"""Decodes TOML descriptions into typed, frozen structures; errors have place, key, value
-and what was expected.
+"""Decoding of TOML descriptions into typed, frozen structures; errors have place, key, value and
+what was expected.
 """
 
 import math
@@ -43,20 +43,27 @@ Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Z
 
 
 def note(description: str, **limits: Any) -> msgspec.Meta:
-    """The description of a key, with its unit and default: JSON Schemas and the
-    reference of all keys show it.
+    """Return the description of a key, with its unit and default, and its limits.
+
+    JSON Schemas and the reference of all keys show it.
     """
     return msgspec.Meta(description=description, **limits)
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """A table of a description: unknown keys are refused; `__post_init__` requires what
-    the types cannot express.
+    """A table of a description. Unknown keys are refused; `__post_init__` requires what the types
+    cannot express.
     """
 
     def require(self, holds: object, key: str, value: object, says: str | tuple[str, str]) -> None:
-        """Refuse the value of a key of this table unless a condition holds; `parse_toml` adds the
-        place of the table.
+        """Refuse the value of a key of this table unless a condition is true.
+
+        Parameters
+        ----------
+        holds : the condition.
+        key : the key; `parse_toml` adds the place of the table.
+        value : the value found.
+        says : what is expected, or a fact and an advice.
         """
         if not holds:
             raise InvalidValueError(
@@ -74,13 +81,24 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class InvalidValueError(ValueError):
-    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds
-    the place of the table.
+    """A wrong value of a key of a table, with the texts of its error. A `ValueError`, to which
+    msgspec adds the place of the table.
     """
 
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
-    """Decode TOML `text` into `kind`; errors have `place`, key, value and what was expected."""
+    """Decode TOML into a structure.
+
+    Parameters
+    ----------
+    text : content of the file, UTF-8.
+    kind : the structure.
+    place : name of the file in errors.
+
+    Raises
+    ------
+    BadInputError : the text is not TOML, too long, or does not fit the structure.
+    """
     file = Location(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
@@ -113,7 +131,7 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
 
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
-    """The words that `kind` allows at `path`."""
+    """Return the words that `kind` allows at `path`."""
     at = _without_note(msgspec.inspect.type_info(kind))
     for step in re.findall(r"\w+|\[[^]]*\]", path):
         if isinstance(at, msgspec.inspect.UnionType):
@@ -147,7 +165,7 @@ def _value_at(data: Any, path: str) -> Any:
 
 
 def _not_finite(data: Any, key: str) -> Iterator[tuple[str, float]]:
-    """Keys and values of the numbers that are not finite."""
+    """Yield keys and values of the numbers that are not finite."""
     if isinstance(data, float) and not math.isfinite(data):
         yield key, data
     for name, value in data.items() if isinstance(data, dict) else ():
