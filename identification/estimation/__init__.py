@@ -1,7 +1,8 @@
 """Least squares, instrumental variables and their tests, on arrays; independent of robots.
 
-It owns the system of rows, its estimates, their intervals, and the nearest consistent parameters.
-It may use the records of `report` and no other room: no robot, no recording, no file.
+It owns the system of rows, its estimates, their intervals, and the nearest physically consistent
+parameters. It may import the records of `report`, but no other subpackage; it has no robot, no
+recording and no file.
 """
 
 from .confidence import (

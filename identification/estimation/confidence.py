@@ -1,9 +1,9 @@
-"""Confidence intervals that hold for correlated residuals, equation (F): equal-weighted
-cosines and Student's t.
+"""Confidence intervals that hold for correlated residuals, equation (F).
 
-Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, Journal of Business &
-Economic Statistics 36 (2018). Only the low-frequency part of the residual matters for an estimate;
-the cosines of the lowest frequencies measure it.
+They use equal-weighted cosines (EWC) and Student's t: Lazarus, Lewis, Stock and Watson, HAR
+Inference: Recommendations for Practice, Journal of Business & Economic Statistics 36 (2018). Only
+the low-frequency part of the residual affects an estimate, and the cosines of the lowest
+frequencies measure it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,13 +20,14 @@ from .estimators import Estimate
 from .system import System
 
 LEVEL = 0.95
-NORMAL_REACH = 1.96  # deviations of a normal distribution at that level
+NORMAL_REACH = 1.96  # quantile of a normal distribution at that level
 MIN_COSINES = 4
-# with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+# White residuals would allow more, but then the intervals of an AR(0.98) residual cover 76 %
+# instead of 92 % of the true values.
 MAX_COSINES = 16
 WHITE_COSINES = 48  # of rows that were whitened
-MIN_OWN = 1e-9  # of a column's norm outside a span; less is rounding
-MIN_VARIANCE_SHARE = 0.1  # of a very short recording
+MIN_OWN = 1e-9  # of a column's norm, outside the columns of an estimate; less is rounding
+MIN_VARIANCE_SHARE = 0.1  # reached by very short recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,11 +35,12 @@ class Intervals:
     """95 % intervals of the estimated parameters.
 
     Attributes:
-        low, high: (b,) their ends.
+        low, high: (b,) ends of the intervals.
         sigma: (b,) standard errors by equal-weighted cosines.
-        freedom: degrees of freedom of Student's t; half an interval is `reach` standard errors.
-        covariance: (b, b) D R D, D the standard errors `sigma`, R the formula's correlations. The
-            cosines' own matrix has no more than `freedom` independent directions.
+        freedom: degrees of freedom of Student's t.
+        reach: t, the 97.5 % quantile; a half-width is t sigma.
+        covariance: (b, b) D R D, with standard errors D = `sigma` and classical correlations R. The
+            matrix of the cosines itself has no more than `freedom` independent directions.
     """
 
     low: Array
@@ -55,7 +57,7 @@ class Intervals:
 
     @cached_property
     def half(self) -> Array:
-        """Half-widths, (b,)."""
+        """Half-widths (b,)."""
         return 0.5 * (self.high - self.low)
 
 
@@ -68,21 +70,22 @@ def intervals_of(
 
     Parameters
     ----------
-    system : the rows W, Y that it was estimated from, not weighted.
-    estimate : with its weights and Q; `stated` values add their standard errors.
-    among : the spans of time that the rows are of; by default all.
-    most : cosines of a recording.
+    system : the rows W, Y of the estimate, not weighted.
+    estimate : with its weights and Q; given values that it is combined with add their standard
+        errors.
+    among : mask of the time blocks that the rows belong to; all by default.
+    most : largest number of cosines of a recording.
 
     Returns
     -------
-    Intervals and `sigma` (b,) in the units of beta, with the degrees of freedom of Student's t:
-    the number B of cosines, summed over the recordings, which are independent.
+    Intervals and `sigma` (b,) in the units of beta. The degrees of freedom are the number B of
+    cosines, summed over the recordings, which are independent.
     """
     rho = system.Y - system.W @ estimate.values_of(system.names)
     weighted, Q, bread = rho * estimate.weights[system.joint_of_row], estimate.Q, estimate.bread
     each, freedom = list[Array](), 0
     for B, spans in _by_span(system, among, most):
-        # by span its share of beta - beta_true, and its QᵀQ
+        # Of each time block its share e(t) of beta - beta_true, and its Q'Q.
         scores = np.array([Q[at].T @ weighted[at] for at in spans]) @ bread.T
         grams, cosine = np.array([Q[at].T @ Q[at] for at in spans]), _family(B, len(spans))
         sums = [np.tensordot(c, grams, axes=1) for c in (cosine, (cosine**2).mean(axis=0))]
@@ -97,17 +100,15 @@ def intervals_of(
 
 
 def not_below_white(estimate: Estimate, found: Intervals) -> Array:
-    """Return standard errors (b,) no smaller than those of the covariance C of white residuals.
+    """Return standard errors (b,) that are not smaller than the classical ones.
 
-    A few cosines may be small by coincidence.
+    Few cosines may be small by coincidence.
     """
     return np.maximum(found.sigma, NORMAL_REACH * estimate.sigma / found.reach)
 
 
 def essential_names(essential: FTest, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
-    """Return the essential parameters of an estimate whose 95 % interval is narrower than their
-    value.
-    """
+    """Return the essential parameters whose 95 % interval is narrower than their value."""
     certain = compress(estimate.names, found.half < np.abs(estimate.beta))
     return tuple(name for name in certain if name in essential.names)
 
@@ -117,19 +118,18 @@ def combined(
 ) -> Estimate:
     """Combine an estimate x by variances with given values a of some of its parameters.
 
-        x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,
+        x + G (a - A x),    G = C A' (A C A' + S)⁻¹,
         C by equal-weighted cosines, S of the given values
 
     Parameters
     ----------
     system, estimate : as in `intervals_of`.
-    given : by name of a parameter, its given value and the half-width of its 95 % interval.
+    stated : given value and half-width of its 95 % interval, by the name of the parameter.
 
     Returns
     -------
-    The combined estimate; the estimate itself if the rows differ significantly from the given
-    values
-    (`differs`), or if it has no such parameter.
+    The combined estimate. It is the estimate itself if it has no such parameter, or if it differs
+    significantly from the given values (`differs`).
     """
     at = [estimate.names.index(name) for name in stated if name in estimate.names]
     if not at:
@@ -156,14 +156,15 @@ def combined(
 
 
 def by_rows_alone(estimate: Estimate, W: Array, Y: Array) -> Estimate:
-    """Return the same without given values, from its weighted rows."""
+    """Return the estimate without given values, from its weighted rows W (r, b) and Y (r,)."""
     bread = np.asarray(np.linalg.inv(estimate.Q.T @ W), dtype=float)
     return replace(estimate, beta=bread @ (estimate.Q.T @ Y), bread=bread, stated=np.zeros((0, 0)))
 
 
 def differs(off: Array, covariance: Array, freedom: int) -> bool:
-    """Test whether a difference (s,) of this covariance (s, s) is outside its 95 % region, by
-    Hotelling's F.
+    """Test whether a difference (s,) with this covariance (s, s) is outside its 95 % region.
+
+    The test is Hotelling's F.
     """
     return (
         f_tail(float(off @ np.linalg.solve(covariance, off)) / len(off), len(off), freedom)
@@ -174,11 +175,10 @@ def differs(off: Array, covariance: Array, freedom: int) -> bool:
 def _by_span(
     system: System, among: Bools | None = None, most: int = MAX_COSINES
 ) -> Iterator[tuple[int, list[Ints]]]:
-    """Return by recording its number of cosines, at `most`, and the rows of each of its time
-    blocks.
+    """Yield by recording its number of cosines, and the rows of each of its time blocks.
 
-    The rows are those of all joints together; `among`: some of the time blocks, no recording
-    without any.
+    The rows are those of all joints together. `among` is a mask of the time blocks that are used,
+    `most` the limit of cosines.
     """
     order, last = np.argsort(system.span, kind="stable"), 0
     ends = np.searchsorted(system.span[order], np.arange(sum(map(len, system.spans))))
@@ -191,9 +191,7 @@ def _by_span(
 
 
 def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
-    """Return intervals of an estimate from its standard errors `sigma` (b,) and their degrees of
-    freedom.
-    """
+    """Return intervals of an estimate from standard errors `sigma` (b,), by Student's t."""
     reach = t_quantile(0.5 + LEVEL / 2, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
@@ -210,9 +208,9 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 def covariance_of_all(
     names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
 ) -> Array:
-    """Return C = D R D (b, b) of base parameters by their names.
+    """Return C = D R D (b, b) of base parameters by their `names`.
 
-    Values of those that are not in the estimate are zero with the standard errors of `full`.
+    Parameters that are not in the estimate have the classical standard errors of `full`.
     """
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
@@ -223,8 +221,9 @@ def covariance_of_all(
 
 
 def changes_of(system: System, columns: Array, estimate: Estimate) -> Array:
-    """Return d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known
-    that the estimate holds.
+    """Return d beta / d a (b, K) for K values a that the estimate holds: bread Q' C.
+
+    C (r, K) is the torque per unit of each value, in `columns`.
     """
     return np.asarray(
         estimate.bread @ (estimate.Q.T @ (columns * estimate.weights[system.joint_of_row][:, None]))
@@ -236,11 +235,19 @@ def deviations_of_sums(
 ) -> Array:
     """Return standard errors (k,) of the sums z'e of k columns z (r, k) over the rows of a system.
 
-    rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The
-    standard errors are corrected for what the two remove, as in `intervals_of`. `common` (r, m):
-    orthonormal directions beside Q that all columns together remove, in place of one each.
+    They are corrected for the noise that the estimate and the column absorb, as in `intervals_of`.
+
+    Parameters
+    ----------
+    system : the rows.
+    z : (r, k) columns.
+    rho : (r, k) residual of e after the regression on Q and each column.
+    Q : (r, b) orthonormal columns of the estimate.
+    common : (r, m) orthonormal directions beside Q that all columns absorb together; None if each
+        column absorbs its own.
     """
-    own, each = z - Q @ (Q.T @ z), []  # the direction that a column adds to Q, none in its span
+    # The direction that a column adds to Q; a column that Q spans adds none.
+    own, each = z - Q @ (Q.T @ z), []
     size, whole = (np.linalg.norm(x, axis=0) for x in (own, z))
     own = np.divide(own, size, out=np.zeros_like(own), where=size > MIN_OWN * whole)
     for B, spans in _by_span(system):
@@ -265,43 +272,44 @@ def deviations_of_sums(
 
 
 def _sums(x: Array, cuts: Ints) -> Array:
-    """Return sums (K, k) of the rows of x (r, k) between borders (K + 1,)."""
+    """Return sums (K, k) of the rows of x (r, k) between the borders `cuts` (K + 1,)."""
     found, full = np.zeros((len(cuts) - 1, x.shape[1])), np.diff(cuts) > 0
     found[full] = np.add.reduceat(x, cuts[:-1][full])
     return found
 
 
 def deviations(scores: Array, B: int) -> Array:
-    """Return standard errors (b,) of the sums of scores (K, b) in order of time, by the B cosines
-    of lowest frequency.
+    """Return standard errors (b,) of the sums of scores (K, b), which are in order of time.
+
+    The B cosines of lowest frequency measure them.
     """
     return np.asarray(np.sqrt(((_family(B, len(scores)) @ scores) ** 2).mean(axis=0)))
 
 
 def _share(found: Array, whole: Array) -> Array:
-    """Return the share (m,) of the variance of the sums z'e, e white, that the cosines find in the
-    residuals.
+    """Return the share (m,) of the variance of sums z'e, e white, that is left in the residuals.
 
-    `found` (m,) is what they find, `whole` (m,) the sums of z² over all rows; for an estimate z is
-    Q bread'. The estimate removes d directions from the noise: rho = (I - Q Q')e. A cosine's L =
-    a'rho, a being the cosine times z, has the variance |a|² - |Q'a|². Regressors as slow as the
-    cosines lose more of it than d of r rows: on the TX40 up to a third of the standard error, where
-    d/r is a fortieth.
+        rho = (I - Q Q')e,     L = a'rho has the variance |a|² - |Q'a|²
+
+    `found` (m,) is the variance that the cosines find, `whole` (m,) the sum of z² over all rows; a
+    is a cosine times z, and for an estimate z = Q bread'. The estimate absorbs d directions of the
+    noise. Regressors as slow as the cosines absorb more of it than d of r rows: on the TX40 up to a
+    third of the standard error, where d/r is a fortieth.
     """
-    # a recording may not excite a parameter
+    # A recording that does not excite a parameter has no variance of it.
     share = np.divide(found, whole, out=np.ones_like(found), where=whole > 0)
     return np.asarray(np.maximum(share, MIN_VARIANCE_SHARE))
 
 
 def _family(B: int, T: int) -> Array:
-    """Return sqrt(2) cos(pi k (t + 1/2)/T), k = 1 to B, shape (B, T)."""
+    """Return c_k(t) = sqrt(2) cos(pi k (t + 1/2)/T), k = 1 to B, shape (B, T)."""
     k, t = np.arange(1, B + 1)[:, None], np.arange(T)
     return np.asarray(np.sqrt(2) * np.cos(np.pi * k * (t + 0.5) / T))
 
 
 def cosines(T: int, most: int = MAX_COSINES) -> int:
-    """Return the number of cosines for T instants, at `most` as many.
+    """Return the number of cosines for T instants, at most `most`.
 
-    They are enough to measure the spread, and few enough to stay at low frequencies.
+    They are enough to measure the scatter, and few enough to stay at low frequencies.
     """
     return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, most))

@@ -1,16 +1,17 @@
-"""The physically consistent parameters nearest to an estimate: one smooth convex problem,
-without the recording.
+"""The physically consistent parameters nearest to an estimate: one smooth convex problem.
 
     min over chi:  1/2 (K chi - beta)' C⁻¹ (K chi - beta)
                    + gamma sum_j [tr(P0_j⁻¹ P_j) - log det P_j]
                    - gamma_x (sum_i log x_i + sum_k log det X_k)
 
-P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every body of positive density
-(Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter
-identification, IEEE RA-L 3 (2018)); x_i are combinations of the other parameters that must be
-positive, X_k matrices of them, such as viscous friction of joints that share motors. Beta, its
-covariance C and the regrouping matrix K replace the rows. Solved by damped Newton steps; the Newton
-decrement certifies the optimum.
+P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every rigid body with positive
+mass density (Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial
+parameter identification, IEEE RA-L 3 (2018)), and P0_j its a priori value. x_i are combinations of
+the other parameters that must be positive, X_k matrices of them that must be positive definite,
+such as viscous friction of joints that share motors.
+
+Beta, its covariance C and the regrouping matrix K replace the rows of the recording. Damped Newton
+steps solve the problem; the Newton decrement certifies the optimum.
 """
 
 from collections.abc import Callable
@@ -21,18 +22,18 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import NoFitError
 
-# weight of the links' prior; with a generic prior, 0.1 or less is worse than
-# none on short recordings
+# Weight of the a priori pseudo-inertias. On short recordings with generic ones, 0.1 or less is
+# worse than none.
 GAMMA = 1.0
-GAMMA_X = 1e-6  # times gamma: only a barrier; full weight would bias friction and rotors
-MATRIX_WEIGHT = 100.0  # times GAMMA_X, of the log det of a matrix: less is lost in rounding
-MAX_DECREMENT = 1e-6  # Newton decrement: half its square is about the distance to the optimum
-MAX_STEPS = 40  # some twenty are usual
-MAX_SOFTENING = 1e8  # of covariances, for optima out of direct reach
-MAX_FACTOR, MIN_FACTOR = 100.0, 1.02  # of its reduction in one step
+GAMMA_X = 1e-6  # times gamma: only a barrier, as full weight would bias friction and rotors
+MATRIX_WEIGHT = 100.0  # times GAMMA_X, of the log det of a matrix; less is lost in rounding
+MAX_DECREMENT = 1e-6  # half the square of the decrement is about the distance to the optimum
+MAX_STEPS = 40  # about twenty are usual
+MAX_SOFTENING = 1e8  # largest factor of the covariance, for optima out of direct reach
+MAX_FACTOR, MIN_FACTOR = 100.0, 1.02  # reduction of that factor in one step
 MAX_BOUNDARY_SHARE = 0.95  # of the way to the boundary in one step
 MIN_SINGULAR_VALUE = 1e-14  # of the largest singular value
-MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value; with less the barrier is lost in rounding
+MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value; below, the barrier is lost in rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,11 +41,11 @@ class PhysicalParameters:
     """Conditions of a physically consistent model on standard parameters chi (p,).
 
     Attributes:
-        links: (L, 10) columns of XX XY XZ YY YZ ZZ MX MY MZ M of each link.
-        prior: (L, 4, 4) expected pseudo-inertias of the links, positive definite.
-        combinations: (m, p) whose products with chi must be positive.
-        matrices: (s, s, p) each, whose products with chi must be positive definite.
+        links: (L, 10) columns of XX XY XZ YY YZ ZZ MX MY MZ M of each link in chi.
+        prior: (L, 4, 4) a priori pseudo-inertias P0 of the links, positive definite.
+        combinations: (m, p) rows x_i; `combinations @ chi` must be positive.
         start: (p,) parameters that meet all conditions.
+        matrices: (s, s, p) each; `matrix @ chi` must be positive definite.
     """
 
     links: Ints
@@ -54,12 +55,12 @@ class PhysicalParameters:
     matrices: tuple[Array, ...] = ()
 
     def within(self, K: Array) -> tuple[Ints, "PhysicalParameters"]:
-        """Return the columns (k,) of chi that K (b, p) or a link has, and the conditions on these.
+        """Return the columns (k,) of chi that K (b, p) or a link has, and their conditions.
 
         Further friction terms, which a fit has left out, are zero.
         """
         kept = np.union1d(np.flatnonzero(K.any(axis=0)), self.links)
-        # `take` keeps the order in memory, and so the last digits where all are kept.
+        # `take` keeps the order in memory, and thereby the last digits of the result.
         return kept, PhysicalParameters(
             links=np.searchsorted(kept, self.links),
             prior=self.prior,
@@ -74,7 +75,8 @@ class Consistent:
     """The nearest physically consistent parameters.
 
     Attributes:
-        chi: (p,) standard parameters; `beta` = K chi (b,).
+        chi: (p,) standard parameters.
+        beta: (b,) base parameters K chi.
         chi_squared: (beta - estimate)' C⁻¹ (beta - estimate).
         deviations: (b,) change of each parameter, in standard errors.
         decrement: Newton decrement at chi, which certifies the optimum.
@@ -96,16 +98,20 @@ def consistent_parameters(
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
 ) -> Consistent:
-    """Find the parameters that meet the conditions `physical`, nearest to an estimate beta (b,) = K
-    chi.
+    """Find the physically consistent parameters nearest to an estimate.
 
-    K regroups. The covariance is C = D R D (b, b): the formula's correlations, the intervals'
-    standard errors. `gamma` is the weight of the links' prior, `gamma_x` that of the barrier of the
-    combinations over it.
+    Parameters
+    ----------
+    beta : (b,) estimate.
+    covariance : (b, b) C = D R D, standard errors D of the intervals, classical correlations R.
+    K : (b, p) regrouping matrix, beta = K chi.
+    physical : conditions on chi.
+    gamma : weight of the a priori pseudo-inertias.
+    gamma_x : weight of the barrier of combinations and matrices, relative to gamma.
 
     Raises
     ------
-    NoFitError : the optimum is not reached, as with an estimate that is not finite.
+    NoFitError : the optimum is not reached, e.g. because the estimate is not finite.
     """
     root, (kept, physical) = _inverse_root(beta, covariance), physical.within(K)
     K, p = K.take(kept, axis=1), K.shape[1]
@@ -116,7 +122,8 @@ def consistent_parameters(
 
     chi, decrement = _minimum(softened(1.0), physical.start)
     if not decrement <= MAX_DECREMENT:
-        # For an estimate far from any robot, steps run along the boundary, where they are short.
+        # An estimate far from any physically consistent model leads along the boundary, where steps
+        # are short.
         chi, decrement = _along_path(softened, physical.start)
     if not decrement <= MAX_DECREMENT:
         raise NoFitError(
@@ -143,13 +150,17 @@ def parameter_certainty(
     *,
     gamma: float = GAMMA,
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return standard errors, and variances relative to the prior, of the standard parameters (p,)
-    and of the base parameters (b,).
+    """Return standard errors and relative variances of the parameters chi (p,) and beta (b,).
 
-    Standard errors are those of Laplace: the inverse Hessian at the optimum without the barrier of
-    friction and rotors. Those of base parameters include the square of their change from the
-    estimate. The relative variance is that over the prior's alone, from 0 to 1; 0 where there is no
-    prior, as for offsets and friction.
+    Standard errors follow Laplace: they are from the inverse Hessian at the optimum, without the
+    barrier of friction and rotors. Those of beta include the square of their change from the
+    estimate. The relative variance, 0 to 1, is the variance over that of the a priori values alone.
+    It is 0 for parameters without a priori values, such as offsets and friction.
+
+    Parameters
+    ----------
+    found : the optimum.
+    covariance, K, physical, gamma : as in `consistent_parameters`.
     """
     whole, (kept, physical) = np.zeros((2, K.shape[1])), physical.within(K)
     b, p = (K := K.take(kept, axis=1)).shape
@@ -166,9 +177,7 @@ def parameter_certainty(
 
 
 def _variances(J: Array, rows: Array) -> Array:
-    """Return the diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very large
-    if J is singular.
-    """
+    """Return the diagonal (k,) of rows (J'J)⁻¹ rows'; very large if J is singular."""
     d = np.linalg.norm(J, axis=0)
     values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
     return np.asarray(
@@ -177,9 +186,7 @@ def _variances(J: Array, rows: Array) -> Array:
 
 
 class _Objective:
-    """The function to minimise, finite where every P_j and X_k is positive definite
-    and every x_i positive.
-    """
+    """The function to minimise, infinite unless all P_j, X_k and x_i are positive (definite)."""
 
     def __init__(
         self,
@@ -190,26 +197,24 @@ class _Objective:
         gamma: float,
         gamma_x: float,
     ) -> None:
-        """Store the problem; `root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹
-        r.
-        """
+        """Store the problem; `root` (b, b) is a root of C⁻¹, |root r|² = r' C⁻¹ r."""
         self._target, self._A = root @ beta, root @ K
         self._x, self._gamma_x = physical.combinations, gamma_x
-        # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s,
-        # s), weight of log det.
+        # Each cone is a matrix that is linear in some parameters: their columns (L, c) in chi, the
+        # matrices (c, s, s) that they multiply, and the weight of its log det.
         self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
             self._cones.append(
                 (columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX_WEIGHT * gamma_x)
             )
-        self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
+        self._pull = np.zeros(K.shape[1])  # gradient of gamma tr(P0⁻¹ P)
         self._pull[physical.links] = gamma * np.einsum(
             "lab,iba->li", np.linalg.inv(physical.prior), BASIS
         )
 
     def value(self, chi: Array) -> float:
-        """Return the function at chi, infinite outside."""
+        """Return the function at chi (p,), infinite outside its domain."""
         x, rho = self._x @ chi, self._A @ chi - self._target
         try:
             roots = self._roots(chi)
@@ -224,8 +229,9 @@ class _Objective:
         return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
-        """Return the gradient (p,), and J (r, p) of the Hessian J'J, whose own condition is that of
-        J squared.
+        """Return the gradient (p,) at chi, and J (r, p) of the Hessian J'J.
+
+        J is returned because the condition number of the Hessian is that of J squared.
         """
         g, parts = self._A.T @ (self._A @ chi - self._target) + self._pull, [self._A]
         for (columns, basis, weight), L in zip(self._cones, self._roots(chi), strict=True):
@@ -240,14 +246,13 @@ class _Objective:
         inverse = self._x / (self._x @ chi)[:, None]
         g -= self._gamma_x * inverse.sum(axis=0)
         at = np.flatnonzero(self._x.any(axis=0))
-        if len(inverse) > len(at):  # power at hundreds of speeds: its R factor is enough
+        # Friction power at hundreds of speeds gives many rows, of which the R factor is enough.
+        if len(inverse) > len(at):
             inverse = np.linalg.qr(inverse[:, at], mode="r") @ np.eye(len(chi))[at]
         return g, np.concatenate([*parts, np.sqrt(self._gamma_x) * inverse])
 
     def reach(self, chi: Array, step: Array) -> float:
-        """Return the multiple of a step at which a P_j, an X_k or an x_i becomes singular or
-        zero.
-        """
+        """Return the multiple of a step at which a P_j or X_k becomes singular, or an x_i zero."""
         lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
         for (columns, basis, _), L in zip(self._cones, self._roots(chi), strict=True):
             back = np.linalg.inv(L)
@@ -256,8 +261,9 @@ class _Objective:
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
     def _roots(self, chi: Array) -> list[Array]:
-        """Return Cholesky factors (L, s, s) of the P_j and X_k; raise if one is not positive
-        definite.
+        """Return Cholesky factors (L, s, s) of the P_j and X_k.
+
+        Raises `LinAlgError` if one is not positive definite.
         """
         return [
             np.asarray(np.linalg.cholesky(np.tensordot(chi[columns], basis, axes=1)))
@@ -266,8 +272,9 @@ class _Objective:
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float]:
-    """Minimise for decreasing covariances, each started from the one before; return the last
-    minimum and its decrement.
+    """Minimise for decreasing covariances, each from the optimum before.
+
+    Returns the last optimum and its decrement.
     """
     chi, decrement = _minimum(problem(MAX_SOFTENING), chi)
     softer, factor = MAX_SOFTENING, MAX_FACTOR
@@ -284,7 +291,7 @@ def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Arr
 
 
 def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
-    """Take Newton steps from chi; return the end and the decrement there."""
+    """Take Newton steps from chi; return the end, and the Newton decrement there."""
     step, decrement = _newton_step(*objective.derivatives(chi))
     for _ in range(MAX_STEPS):
         going = MAX_DECREMENT < decrement < np.inf
@@ -297,8 +304,9 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float]:
 
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
-    """Return the share of a Newton step that stays inside and decreases the function enough; 0
-    where rounding leaves none.
+    """Return the share of a Newton step that stays inside and decreases the function enough.
+
+    It is 0 if no share decreases the function by more than rounding.
     """
     value, length = objective.value(chi), min(1.0, MAX_BOUNDARY_SHARE * objective.reach(chi, step))
     rounding = 1e-13 * abs(value)
@@ -310,7 +318,7 @@ def _length(objective: _Objective, chi: Array, step: Array, decrement: float) ->
 
 
 def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
-    """Return the Newton step (p,) and its decrement; columns of J are scaled to one."""
+    """Return the Newton step (p,) and its decrement."""
     d = np.linalg.norm(J, axis=0)
     d = np.where(d > 0, d, 1.0)
     try:
@@ -322,9 +330,10 @@ def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
 
 
 def _inverse_root(beta: Array, covariance: Array) -> Array:
-    """Return a root (b, b) of C⁻¹, through the correlations.
+    """Return a root (b, b) of C⁻¹, by way of the correlations.
 
-    Standard errors have a lower bound for the sake of the barrier.
+    Standard errors have a lower bound, as the barrier would be lost in rounding beside a smaller
+    one.
     """
     sigma = np.sqrt(np.diag(covariance))
     own = np.where(sigma > 0, sigma, 1.0)
@@ -342,16 +351,19 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
 
 
 def pseudo_inertia(parameters: Array) -> Array:
-    """Return pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10).
+    """Return pseudo-inertias P (..., 4, 4) of links with parameters (..., 10).
 
-    [[tr(I)/2 1 - I, h], [h', M]]
+        P = [[tr(I)/2 1 - I, h], [h', M]],     h = [MX MY MZ]'
+
+    The parameters are XX XY XZ YY YZ ZZ MX MY MZ M, in kg m², kg m and kg.
     """
     return np.asarray(np.tensordot(parameters, BASIS, axes=1))
 
 
 def link_parameters(P: Array) -> Array:
-    """Return XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4), the inverse
-    of `pseudo_inertia`.
+    """Return link parameters (..., 10) of pseudo-inertias P (..., 4, 4).
+
+    It is the inverse of `pseudo_inertia`.
     """
     second, (rows, columns) = P[..., :3, :3], np.triu_indices(3)
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
@@ -367,4 +379,4 @@ def _basis() -> Array:
     return basis
 
 
-BASIS = _basis()  # P = sum of parameter times matrix
+BASIS = _basis()  # (10, 4, 4): P is the sum of each parameter times its matrix

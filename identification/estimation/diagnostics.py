@@ -1,6 +1,6 @@
-"""Torque errors by joint and by state of motion, tests of instruments, whitening, distributions.
+"""Torque errors by joint and state of motion, tests of instruments, whitening, distributions.
 
-The distributions are written here because importing a library for them takes longer than a fit.
+The distributions are implemented here because importing a library for them takes longer than a fit.
 """
 
 import math
@@ -13,21 +13,19 @@ from ..arrays import Array, Bools
 from ..report import FTest, TorqueResidual
 from .system import inverse_factor
 
-MOVING = 0.02  # of a joint's peak speed: below, it stands
-_MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
+MOVING = 0.02  # of a joint's peak speed; a slower joint counts as at rest
+_MAX_TERMS = 500  # of the continued fraction, which needs about max(10, sqrt(degrees of freedom))
 
 
 def torque_errors(
     tau: Array, predicted: Array, counts: Bools, joints: Sequence[tuple[str, str]]
 ) -> tuple[TorqueResidual, ...]:
-    """Return the torque errors of each of the `joints`, and, last and named `all`, of all joints
-    together.
+    """Return the torque errors of each joint, and of all joints together as the last, named `all`.
 
     Parameters
     ----------
     tau, predicted : (rows, n) measured and predicted torque, N m or N; A or V if the drive gain is
-        not
-        known.
+        not known.
     counts : (rows, n) mask of the rows that count in a fit.
     joints : name and unit of each joint.
     """
@@ -52,15 +50,17 @@ def torque_errors(
 
 
 def are_moving(speed: Array) -> Bools:
-    """Return a mask (rows, n) of the joints in motion: faster than 2 % of their peak `speed` (rows,
-    n).
+    """Return a mask (rows, n) of the joints in motion, from their `speed` (rows, n).
+
+    A joint in motion is faster than 2 % of its peak speed.
     """
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
 def autocorrelation(rho: Array) -> float | None:
-    """Return the autocorrelation of residuals (rows,) or (rows, n) at one row; None if they are
-    zero.
+    """Return the autocorrelation at one row of residuals (rows,) or (rows, n).
+
+    It is None if the residuals are zero.
     """
     r, following = rho[:-1].ravel(), rho[1:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
@@ -68,25 +68,31 @@ def autocorrelation(rho: Array) -> float | None:
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:
-    """Return 100 |rho| / |tau| of residual and torque in the same unit and shape; None if the
-    torque is zero.
+    """Return 100 |rho| / |tau| of residual and torque; None if the torque is zero.
+
+    Both have the same unit and shape.
     """
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
 def relative_residual(W: Array, Y: Array) -> float:
-    """Return the residual of the least squares of Y (r,) by columns W (r, b), relative to Y."""
+    """Return |rho| / |Y| of the least squares of Y (r,) by columns W (r, b)."""
     W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
     return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))
 
 
 def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
-    """Test instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has
-    `rows` used rows.
+    """Test instruments; return their strength and the first-stage F.
 
-    Returns the smallest canonical correlation of Z and W, 1 for W itself; and the first-stage F of
-    the least explained direction of W, weak below 10.
+    The strength is the smallest canonical correlation of Z and W, 1 for W itself. F is that of the
+    least explained direction of W; instruments are weak below 10 (Staiger and Stock).
+
+    Parameters
+    ----------
+    Q : (r, b) orthonormal columns that span Z.
+    W : (r, b) weighted regressor.
+    rows : number of used rows.
     """
     b = W.shape[1]
     strength = float(min(1.0, np.linalg.svd(Q.T @ W @ inverse_factor(W)[0], compute_uv=False)[-1]))
@@ -94,8 +100,9 @@ def first_stage(Q: Array, W: Array, rows: float) -> tuple[float, float]:
 
 
 def autoregression(x: Array, order: int) -> Array:
-    """Return coefficients (order,) that predict x (T,) from its past, by Yule and Walker; zeros if
-    x is zero.
+    """Return coefficients (order,) that predict x (T,) from its past, by Yule and Walker.
+
+    They are zero if x is zero.
     """
     r = np.array([x[k:] @ x[: len(x) - k] for k in range(order + 1)])
     if not r[0] > 0:
@@ -105,10 +112,11 @@ def autoregression(x: Array, order: int) -> Array:
 
 
 def f_tail(F: float, dropped: float, freedom: float) -> float:
-    """Return the probability that a value of the F distribution with `dropped` and `freedom`
-    degrees of freedom exceeds F.
+    """Return the probability that a value of the F distribution exceeds F.
+
+    Its degrees of freedom are `dropped` and `freedom`.
     """
-    # F may be below 0 by rounding
+    # Rounding may make F negative.
     return _incomplete_beta(freedom / 2, dropped / 2, freedom / (freedom + dropped * max(F, 0.0)))
 
 
@@ -119,19 +127,17 @@ def t_quantile(p: float, freedom: float) -> float:
 
 
 def chi_squared_quantile(tail: float, freedom: int) -> float:
-    """Return the value exceeded with the probability `tail` in the chi-squared distribution with
-    `freedom` degrees of freedom.
-    """
+    """Return the value that a chi-squared distribution exceeds with the probability `tail`."""
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
 def f_test(
     names: tuple[str, ...], F: float, dropped: int, rows: float, b: int, correlation: float
 ) -> FTest:
-    """Test F for `dropped` of b parameters, also corrected for the residual's autocorrelation c at
-    one row.
+    """Test F for `dropped` of b parameters, also corrected for correlated residuals.
 
-    The correction counts the share (1 - c)/(1 + c) of rows as independent, all for a negative c.
+    With the autocorrelation c at one row, the correction counts the share (1 - c)/(1 + c) of the
+    rows as independent, and all of them for a negative c.
     """
     c = max(0.0, correlation)
     share = (1.0 - c) / (1.0 + c)
@@ -155,12 +161,14 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:
-    """Return the regularised incomplete beta function I_x(a, b), by its continued fraction
-    (Abramowitz and Stegun 26.5.8, Lentz).
+    """Return the regularised incomplete beta function I_x(a, b), by its continued fraction.
+
+    Abramowitz and Stegun 26.5.8, evaluated by Lentz's method.
     """
     if x <= 0.0 or x >= 1.0:
         return float(x >= 1.0)
-    if x > (a + 1.0) / (a + b + 2.0):  # the other tail converges faster
+    # The fraction of the other tail converges faster here.
+    if x > (a + 1.0) / (a + b + 2.0):
         return 1.0 - _incomplete_beta(b, a, 1.0 - x)
     front = math.exp(
         math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x)

@@ -1,10 +1,11 @@
-"""Least squares and instrumental variables on any W, Y, Z by QR; reduction to
-the essential parameters.
+"""Least squares and instrumental variables on any W, Y, Z by QR; essential parameters.
 
-Symbols as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
-C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b,
-is that of the authors' scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on
-the EMPS, 1.3 % on the TX40).
+    rho = Y - W beta,     s² = |rho|²/(r - 1),     C = s² (W'W)⁻¹
+    sigma_i = sqrt(C_ii),     %sigma_i = 100 sigma_i/|beta_i|
+
+Symbols are those of Janot2014 and Gautier1997. The divisor r - 1, not r - b, is that of the
+authors' scripts and published standard deviations; it makes sigma smaller by b/2r (0.06 % on the
+EMPS, 1.3 % on the TX40).
 """
 
 import math
@@ -25,8 +26,8 @@ from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_d
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-MIN_COLUMN_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
-F_TEST_LEVEL = 0.01  # a parameter is dropped only where the F test's p-value stays above
+MIN_COLUMN_NORM = 1e-9  # of a column's norm over all joints; less at one joint is rounding
+F_TEST_LEVEL = 0.01  # a drop with a smaller p-value is rejected
 
 
 def one_thread(function: F) -> F:
@@ -42,20 +43,20 @@ class Estimate:
     """An estimate with its covariance and factors.
 
     Attributes:
-        names: (b,) parameters estimated.
+        names: (b,) estimated parameters.
         beta: (b,) their values.
-        covariance: (b, b) by the formula, which assumes white residuals.
-        weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
+        covariance: (b, b) classical covariance C, which assumes white residuals.
+        weights: (n,) 1/s_j of the rows of joint j, 1/(N m) or 1/N; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: that of W.
-        condition_number_scaled: that of the weighted W with columns of norm one.
-        rows: r, the number of decimated samples over all joints, the sum of the squares of their
-            weights.
-        Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal
-            columns
-            that span W, or Z.
-        given: (b, s) changes by one standard deviation of each of the s given values that it is
-            combined with (`confidence.combined`).
+        condition_number: condition number of W.
+        condition_number_scaled: condition number of the weighted W with columns of norm one; with
+            instruments that of Z'W.
+        rows: r, the effective number of decimated samples of all joints, the sum of the squares of
+            their weights.
+        Q: (r, b) orthonormal columns that span the weighted W, or Z.
+        bread: (b, b) factor of beta - beta_true = bread Q' rho, with weighted rho (r,).
+        stated: (b, s) changes by one standard error of each of the s given values that the estimate
+            is combined with (`confidence.combined`).
     """
 
     names: tuple[str, ...]
@@ -72,23 +73,21 @@ class Estimate:
 
     @cached_property
     def sigma(self) -> Array:
-        """Classical standard errors by the formula, (b,)."""
+        """Classical standard errors (b,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def sigma_percent(self) -> Array:
-        """Classical standard errors in percent of the values, (b,); infinite for a value of
-        zero.
-        """
+        """Classical standard errors (b,) in percent of the values; infinite for a value of zero."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(100.0 * self.sigma / np.abs(self.beta))
 
     def without_rows(self) -> "Estimate":
-        """Return the same without Q, which is as large as W."""
+        """Return a copy without Q, which is as large as W."""
         return replace(self, Q=self.Q[:0].copy())
 
     def part(self, indices: Ints) -> "Estimate":
-        """Return the estimate of some of the parameters, of which the others remain estimated."""
+        """Return the estimate of some of the parameters; the others stay estimated."""
         return replace(
             self,
             names=tuple(self.names[i] for i in indices),
@@ -99,7 +98,7 @@ class Estimate:
         )
 
     def values_of(self, names: tuple[str, ...]) -> Array:
-        """Return the values of `names`, zero for those not estimated."""
+        """Return the values of `names`, zero for those that are not estimated."""
         found = dict(zip(self.names, self.beta, strict=True))
         return np.array([found.get(name, 0.0) for name in names])
 
@@ -115,7 +114,7 @@ def ordinary_least_squares(system: System) -> Estimate:
 
     Returns
     -------
-    The estimate with its covariance s² (W'W)⁻¹, `weights` (n,) of ones.
+    The estimate with its covariance s² (W'W)⁻¹, and `weights` (n,) of ones.
 
     Raises
     ------
@@ -125,7 +124,7 @@ def ordinary_least_squares(system: System) -> Estimate:
 
 
 def weighted_least_squares(system: System, weights: Array | None = None) -> Estimate:
-    """Solve the rows by least squares, those of joint j divided by s_j.
+    """Solve the rows by least squares, with the rows of joint j divided by s_j.
 
         min |S (Y - W beta)|²,     S = 1/s_j in rows of joint j                          (B)
 
@@ -137,18 +136,18 @@ def weighted_least_squares(system: System, weights: Array | None = None) -> Esti
 
     Returns
     -------
-    The estimate with its covariance s² (W'S²W)⁻¹ and `weights` (n,) 1/s_j, 1/(N m) or 1/N.
+    The estimate with its covariance s² (W'S²W)⁻¹, and `weights` (n,) 1/s_j, 1/(N m) or 1/N.
 
     Raises
     ------
-    NoFitError : there are no more rows than parameters, or W is rank deficient; parameters that
-        are not excited or not distinguishable are named.
+    NoFitError : there are no more rows than parameters, or W is rank deficient; the text names the
+        parameters that are not excited or not distinguishable.
     """
     return _estimated(system, joint_weights(system) if weights is None else weights)
 
 
 def joint_weights(system: System) -> Array:
-    """Compute the weight (n,) of each joint's rows, 1/(N m) or 1/N, from its own least squares.
+    """Compute the weight (n,) of each joint's rows from its own least squares, 1/(N m) or 1/N.
 
         1/s_j,     s_j² = |Y_j - W_j beta_j|² / (r_j - b_j)                              (B)
 
@@ -159,7 +158,8 @@ def joint_weights(system: System) -> Array:
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.linalg.norm(W_j, axis=0) > least]
-        R = r_factor(np.c_[W_j / _norms(W_j), Y_j])  # with the same residual norm
+        # The R factor has the same residual norm as the rows, but only as many rows as columns.
+        R = r_factor(np.c_[W_j / _norms(W_j), Y_j])
         b_j, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=RANK_TOLERANCE)
         rho = R[:, -1] - R[:, :-1] @ b_j
         # An exact model leaves only rounding, which must not set the weights.
@@ -169,13 +169,13 @@ def joint_weights(system: System) -> Array:
 
 
 def weights_of(system: System, rho: Array) -> Array:
-    """Return 1/s_j (n,) of residuals rho (r,) of the rows: s_j² = |rho_j|² / r_j."""
+    """Return 1/s_j (n,), 1/(N m) or 1/N, of residuals rho (r,), with s_j² = |rho_j|² / r_j."""
     squares = np.bincount(system.joint_of_row, rho**2, minlength=len(system.rows))
     return _reciprocal(np.sqrt(squares / np.maximum(1, system.rows)))
 
 
 def _reciprocal(s: Array) -> Array:
-    """Return 1/s_j, limited: a joint at rest without torque must not outweigh all others."""
+    """Return 1/s_j (n,), limited: a joint at rest without torque must not outweigh all others."""
     s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
@@ -183,25 +183,24 @@ def _reciprocal(s: Array) -> Array:
 def essential_parameters(
     system: System, full: Estimate, *, correlation: float, ratio: float = 30.0
 ) -> FTest:
-    """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio ·
-    min %sigma (Gautier2013).
+    """Find the essential parameters: drop the one with the largest %sigma, and solve again.
 
-    Dropping also ends where the F test, corrected for the correlation of the residual, rejects a
-    drop at 1 %.
+    This ends when max %sigma < ratio · min %sigma (Gautier2013), or when the F test rejects a drop
+    at 1 %. The F test is corrected for the correlation of the residual.
 
     Parameters
     ----------
     system : rows of all base parameters.
     full : their estimate, whose weights are used.
-    correlation : of the residual at a delay of one row, -1 to 1.
-    ratio : of the largest to the smallest %sigma that is kept.
+    correlation : autocorrelation of the residual at one row, -1 to 1.
+    ratio : largest ratio of two %sigma that is kept.
 
     Returns
     -------
-    The names of the parameters kept, and the F test against `full`, whose figures are NaN where
-    none was dropped.
+    The names of the kept parameters, and the F test against `full`, whose figures are NaN if none
+    was dropped.
     """
-    # Columns are dropped from the R factor: each pass costs b³, not r b².
+    # Columns are dropped from the R factor, so that each drop costs b³ operations, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
 
     kept, nan = np.arange(b), math.nan
@@ -233,8 +232,8 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
         beta = (Z'W)⁻¹ Z'Y,     covariance s² (Z'W)⁻¹ Z'Z (W'Z)⁻¹                        (D)
 
-    W, Y and Z are weighted. The QR factors of Z = Q R solve it, (Q'W) beta = Q'Y; R drops out of
-    the covariance.
+    W, Y and Z are weighted. The QR factors of Z = Q R solve it, (Q'W) beta = Q'Y; R cancels in the
+    covariance.
 
     Parameters
     ----------
@@ -254,8 +253,9 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
 
 def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estimate:
-    """Solve by least squares, or with instruments Z (r, b), not weighted, by instrumental
-    variables.
+    """Solve by least squares, or by instrumental variables if there are instruments Z (r, b).
+
+    Z is not weighted.
     """
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
@@ -294,20 +294,20 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
 
 
 def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
-    """Solve (QᵀW) beta = QᵀY for beta (b,).
+    """Solve (Q'W) beta = Q'Y.
 
-    Return also bread of beta - beta_true = bread Qᵀ rho, |Y - W beta|, and cond(QᵀW) with scaled
-    columns.
+    Returns beta (b,), bread (b, b) of beta - beta_true = bread Q' rho, |Y - W beta|, and cond(Q'W)
+    with columns of norm one.
     """
     d = _norms(W)
-    A = Q.T @ W / d  # upper triangular where Q spans W
+    A = Q.T @ W / d  # upper triangular if Q spans W
     q, R = np.linalg.qr(A)
     bread, beta = np.linalg.solve(R, q.T) / d[:, None], np.linalg.solve(R, q.T @ (Q.T @ Y)) / d
     return beta, bread, float(np.linalg.norm(Y - W @ beta)), float(np.linalg.cond(A))
 
 
 def _covariance(bread: Array, residual_norm: float, rows: float) -> Array:
-    """Return C (b, b) = s² bread breadᵀ for `rows` samples."""
+    """Return C (b, b) = s² bread bread' of `rows` samples."""
     return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
 
 

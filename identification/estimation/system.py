@@ -1,5 +1,6 @@
-"""The over-determined system of the estimators: its rows by joint and span of time, one form for a
-short recording and for an hour, and their factors.
+"""The over-determined system of the estimators: its rows by joint and time block, and factors.
+
+The rows have one form for a short recording and for an hour.
 """
 
 import ctypes
@@ -14,21 +15,22 @@ import numpy as np
 from ..arrays import Array, Bools, Ints
 from ..errors import NoFitError
 
-# Of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the
-# fastest cosine. A short one has more, as steps of cosines let in noise that grows with frequency:
-# with 20 µm of position noise added on the EMPS, in the mean of 40 draws, intervals are 25 % wider
-# with 120 spans than with an instant a span, 11 % with 240, 8.5 % with 480.
+# Time blocks of a long recording. They end at its half and at each fifth, and a half period of the
+# fastest cosine has 7.5 of them. A short recording has more, because a cosine in steps lets in
+# noise that grows with frequency: on the EMPS with 20 µm of added position noise (mean of 40
+# draws), intervals are 25 % wider with 120 blocks than with one block per instant, 11 % with 240
+# and 8.5 % with 480.
 SPANS, FINE_SPANS = 120, 240
-SHORT = 12_000  # instants of a recording whose rows are kept as they are
-_BLOCK_ROWS, _BLOCKS = 1024, 16  # of a block that is factored; blocks at a time, as they are copied
-_MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
-_LARGE = 2**24  # bytes of an array beside which freed memory counts
-_RELEASED = 100  # factors that are copied before their memory is given back
+SHORT = 12_000  # instants; the rows of a shorter recording are kept as they are
+_BLOCK_ROWS, _BLOCKS = 1024, 16  # rows of a factored block; blocks at a time, which are copied
+_MAX_CONDITION = 1e3  # largest condition number for which A R⁻¹ is orthonormal to 1e-12
+_LARGE = 2**24  # bytes; beside a smaller array, freed memory does not matter
+_RELEASED = 100  # factors that are copied before their memory is returned
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 
 def equal_spans(instants: int) -> Ints:
-    """Return the first instant (count + 1,) of each time block, and the end of the last.
+    """Return the first instant (count + 1,) of each time block, and the end of the last one.
 
     Instant t is in block t count // instants. Each block has at least one instant.
     """
@@ -37,9 +39,9 @@ def equal_spans(instants: int) -> Ints:
 
 
 def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
-    """Return the time block of each of the `instants` (K,) of recordings with these blocks.
+    """Return the time block of each of the `instants` (K,) of recordings with these `spans`.
 
-    All blocks are counted one after the other. Instants after the end are in the last block.
+    Blocks are counted through all recordings. Instants after the end are in the last block.
     """
     first = np.cumsum([0, *(len(own) - 1 for own in spans)])
     return np.concatenate(
@@ -54,17 +56,17 @@ def spans_at(spans: Sequence[Ints], instants: Sequence[Ints]) -> Ints:
 class System:
     """Y = W beta + rho, equations (5) and (6) of Janot2014.
 
-    It holds the weighted rows that count, stacked joint by joint, or R factors of them by time
-    block, which have the same products.
+    It holds the weighted rows that count, stacked joint by joint, or the R factors of the rows of
+    each time block, which have the same products.
 
     Attributes:
         W: (r, b) regressor.
-        Y: (r,) torques.
+        Y: (r,) torques, N m or N.
         joint_of_row: (r,) joint index of each row, ascending.
         names: (b,) parameters.
-        rows: (n,) samples per joint, the sum of the squares of their weights.
+        rows: (n,) effective samples per joint, the sums of the squares of their weights.
         span: (r,) time block of each row, counted through all recordings.
-        spans: of each recording the first instant of its time blocks, and the end of the last.
+        spans: first instant of the time blocks of each recording, and the end of the last one.
     """
 
     W: Array
@@ -77,7 +79,7 @@ class System:
 
     @classmethod
     def whole(cls, W: Array, Y: Array, joint_of_row: Ints, names: tuple[str, ...]) -> "System":
-        """Return the system of samples, one instant after the other at each joint."""
+        """Make a system of samples, which are one instant after the other at each joint."""
         rows = np.bincount(joint_of_row)
         spans = equal_spans(int(rows.max()))
         return cls(
@@ -94,12 +96,12 @@ class System:
         )
 
     def part(self, rows: Bools) -> "System":
-        """Return the system of some of its rows (r,)."""
+        """Return the system of the rows in a mask (r,)."""
         of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}
         return replace(self, **of)
 
     def with_columns(self, columns: Ints) -> "System":
-        """Return the same system for some of its parameters."""
+        """Return the system of some of the parameters, by their `columns`."""
         return (
             self
             if len(columns) == len(self.names)
@@ -107,7 +109,7 @@ class System:
         )
 
     def weighted(self, weights: Array) -> tuple[Array, Array]:
-        """Return W (r, b) and Y (r,) with rows of joint j times `weights` (n,)."""
+        """Return W (r, b) and Y (r,) with the rows of joint j times `weights` (n,)."""
         w = weights[self.joint_of_row]
         return self.W * w[:, None], self.Y * w
 
@@ -115,26 +117,28 @@ class System:
 class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
     """Rows of a recording, such as [Z J r], by joint and time block.
 
-    They hold by joint and place the rows, and twice their block, one more for fast ones. Those of
-    blocks are
-    made apart, and then added. Where a time block has more rows than columns it keeps their R
-    factor, A = Q R:
-    it has the same products of columns, hence the same least squares and instrumental variables,
-    and avoids
-    the loss of digits of squared sums. A half of a recording is half of its time blocks; several
-    recordings
-    stand one after the other.
+    The keys are joint and place, the values rows and twice their block, plus one for fast rows.
+    Blocks of samples are computed one by one and then added.
+
+    If a time block has more rows than columns, it keeps their R factor, A = Q R. This has the same
+    products of columns, hence the same least squares and instrumental variables, and avoids the
+    loss of digits of squared sums. Half a recording is half of its time blocks; several recordings
+    are stacked.
     """
 
     @classmethod
     def of_block(
         cls, instants: int, first: int, A: Array, share: Array, fast: Bools | None = None
     ) -> "SpanRows":
-        """Make the rows A (n, columns, K) of the instants from `first` on, of so many `instants` in
-        all.
+        """Make the rows of a block of samples.
 
-        `share` (n, K) are their weights, 0 for rows that do not count. Rows that are `fast` (n, K)
-        have factors of their own.
+        Parameters
+        ----------
+        instants : number of instants of the whole recording.
+        first : first instant of the block.
+        A : (n, columns, K) rows by joint.
+        share : (n, K) weights, 0 for rows that do not count.
+        fast : (n, K) mask of the rows that get factors of their own; None for none.
         """
         at, found = np.arange(first, first + A.shape[2]), cls()
         span = np.searchsorted(equal_spans(instants), at, side="right") - 1
@@ -144,7 +148,8 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
             if instants <= SHORT:
                 found[j, first] = rows, kind
                 continue
-            found[j, 2 * int(span[0])] = rows[:0], kind[:0]  # where no row counts
+            # A joint without any row that counts needs an entry too.
+            found[j, 2 * int(span[0])] = rows[:0], kind[:0]
             for k in np.unique(kind).tolist():
                 R = _reduced(rows[kind == k])
                 found[j, k] = R, np.full(len(R), k)
@@ -159,15 +164,15 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
             self[key] = rows, kind
 
     def rows(self, share: Array) -> tuple[Array, Bools, dict[str, Any]]:
-        """Return the rows (r, columns), joint by joint in the order of time, and which are fast
-        (r,).
+        """Return the rows (r, columns), a mask (r,) of fast rows, and further fields of a `System`.
 
-        The further attributes of a `System` follow. It can be called only once.
+        Rows are ordered by joint and then by time. This can be called only once.
         """
         each = sorted(self)
         lengths, columns = [len(self[key][1]) for key in each], self[each[0]][0].shape[1]
         rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
-        for key, at in zip(each, spans_of(lengths), strict=True):  # never twice in memory
+        # Each block is removed when it is copied, so that the rows are never in memory twice.
+        for key, at in zip(each, spans_of(lengths), strict=True):
             rows[at], kind[at] = self.pop(key)
             if len(self) % _RELEASED == 0:
                 release_memory(rows)
@@ -182,8 +187,9 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
 
 
 def _reduced(rows: Array) -> Array:
-    """Return the rows (r, columns) of a joint, which depends on some columns only, or their R
-    factor.
+    """Return the rows (r, columns) of a joint, or their R factor if that has fewer rows.
+
+    A joint depends on some of the columns only.
     """
     own = rows.any(axis=0)
     if len(rows) <= own.sum():
@@ -195,21 +201,17 @@ def _reduced(rows: Array) -> Array:
 
 
 def spans_of(parts: Sequence[int]) -> list[slice]:
-    """Return the instants of each recording within those of all."""
+    """Return the instants of each recording within the instants of all."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *parts]))]
 
 
 def by_joint(systems: Sequence[System]) -> Ints:
-    """Return the places (r,) of the rows of recordings one after the other, stacked joint by
-    joint.
-    """
+    """Return the order (r,) that stacks the rows of several recordings joint by joint."""
     return np.argsort(np.concatenate([s.joint_of_row for s in systems]), kind="stable")
 
 
 def stacked(systems: Sequence[System]) -> System:
-    """Stack the rows of several recordings of the same parameters joint by joint, in the order
-    given.
-    """
+    """Stack the rows of several recordings of the same parameters, joint by joint."""
     order, ends = by_joint(systems), np.cumsum([sum(len(x) - 1 for x in s.spans) for s in systems])
     W, Y, joint_of_row, span = (
         np.concatenate([getattr(s, name) for s in systems])[order]
@@ -244,8 +246,10 @@ def r_factor(A: Array) -> Array:
 
 
 def release_memory(beside: Array) -> None:
-    """Return freed memory to the system if there is a large array `beside` it: between the arrays
-    of a long recording the allocator keeps hundreds of MB. Only glibc can.
+    """Return freed memory to the system if there is a large array `beside` it.
+
+    Between the arrays of a long recording the allocator keeps hundreds of MB. Only glibc can return
+    them.
     """
     if beside.nbytes > _LARGE:
         with suppress(AttributeError, TypeError):
@@ -259,25 +263,23 @@ def orthonormal(A: Array) -> Array:
     release_memory(A)
     inverse, condition = inverse_factor(A)
     Q = np.asarray(A @ inverse)
-    # A second time where R is ill-conditioned, for orthonormality to rounding.
+    # If R is ill-conditioned, a second step is needed for orthonormality to rounding.
     return Q if condition < _MAX_CONDITION else np.asarray(Q @ inverse_factor(Q)[0])
 
 
 def inverse_factor(A: Array) -> tuple[Array, float]:
-    """Return R⁻¹ (c, c) of A (r, c) = Q R, and the condition number of R with columns of norm
-    one.
-    """
+    """Return R⁻¹ (c, c) of A (r, c) = Q R, and cond(R) with columns of norm one."""
     R = r_factor(A)
     d = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
     return np.asarray(np.linalg.pinv(R / d) / d[:, None]), float(np.linalg.cond(R / d))
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
-    """Return the singular values of the column-scaled W, or refuse it.
+    """Return the singular values of the column-scaled W (r, b); refuse W if one is zero.
 
     Raises
     ------
-    NoFitError : it names the parameters that are not excited or not distinguishable.
+    NoFitError : the text names the parameters that are not excited or not distinguishable.
     """
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
@@ -299,16 +301,15 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
 
 
 def undetermined_parameters(W: Array, names: tuple[str, ...]) -> list[str]:
-    """Return names of the parameters that the rows W (r, b) do not determine: not excited or not
-    distinguishable.
-    """
+    """Return the parameters that the rows W (r, b) do not excite or cannot distinguish."""
     unexcited, collinear, _ = _undetermined(W, names)
     return [name for name in names if name in (*unexcited, *collinear)]
 
 
 def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str], Array]:
-    """Return parameters not excited, parameters not distinguishable, and the singular values of the
-    column-scaled W.
+    """Return parameters not excited, parameters not distinguishable, and singular values.
+
+    The singular values are those of the column-scaled W.
     """
     R = r_factor(W)
     norms = np.linalg.norm(R, axis=0)
