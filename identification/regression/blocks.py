@@ -1,24 +1,23 @@
-"""Motions in blocks: that of the recording, of a robot simulated in its place, or with another
-torque. All are asked alike, so that W and Z are the same columns along two motions.
+"""Motions in blocks: the recorded one, that of a simulated robot, or one with another torque.
 
-A block filters any series as equation (6) of Janot2014 does, F[w x]: times the weights w of the
-samples, then decimated. Recordings are read-only: no delay and no gain changes them, as these are
-unknowns of the term `Drives`.
+All have the same interface, so that W and Z are the same columns along two motions. A block filters
+any series as equation (6) of Janot2014 does, F[w x]: times the weights w of the samples, then
+decimated. Recordings are read-only: delay and gains do not change them, as these are unknowns of
+the term `Drives`.
 
-Weights of samples: those at which a joint stands weigh nothing.
+Samples at which a joint is at rest have zero weight. Friction at rest may have any value between
+-Fc and Fc, which no model predicts, and the decimation filter F carries it into the rows around. So
+torque and regressor of joint j are multiplied by the same weight w_j(t) before both are decimated:
 
-While a joint stands its friction is anything between -Fc and Fc, which no model says, and the
-decimation filter F carries it into the rows around. So torque and regressor of joint j are
-multiplied by the same weight w_j(t) before both are decimated,
+    Y_j := F[w_j Y_j],    W_j := F[w_j W_j],    Z_j := F[w_j Z_j]
 
-    Y_j := F[w_j Y_j],    W_j := F[w_j W_j],    Z_j := F[w_j Z_j];
+Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the friction at rest is.
+The weight w is 0 at rest, 1/2 at L samples away and 1 from 2 L samples on, because an abrupt edge
+would fold noise above the low-pass into the band. If the moves of a joint are shorter than the
+filter F, nothing is left of them: such a joint has no weights, but only the rows at whose instants
+it moves.
 
-Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the friction was where w
-= 0. w is 0 where a joint stands, 1/2 L samples away and 1 from 2 L samples on: an abrupt edge would
-fold noise above the low-pass into the band. Moves that are shorter than the filter leave nothing:
-such a joint has no weights, but only the rows at whose instants it moves.
-
-Samples that nobody measured weigh nothing in the same way, also where those of standstill do.
+Samples that were not measured have zero weight in the same way.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,22 +36,21 @@ from .motion import BLOCK_SAMPLES, Motion, differentiate, smooth
 from .problem import Problem, row_blocks
 from .settings import LOW_SPEED_PERCENT, MAX_CUTOFF_SHARE, RAMPS, ROWS, SURROGATE_BANDWIDTH_RATIO
 
-LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
-# terms of friction that tell it at lower speeds, and how much lower
+LOW_SPEED_DEVIATIONS = 4.0  # standard deviations of the noise of the speed
+# Friction terms that describe lower speeds too, and the share of the usual threshold for them.
 SLOW_TERMS, SLIDING_SHARE = frozenset(("root", "load", "stribeck")), 0.25
-MIN_SHARE = 0.1  # weight of a row that counts
-# of the rows in which a joint moves, by their weights; with fewer it gets the next shorter ramp
+MIN_SHARE = 0.1  # smallest weight of a row that counts
+# Share of the rows in motion, by their weights; with fewer a joint gets the next shorter taper.
 MIN_ROWS_LEFT = 1 / 3
-DRIVES_A_ROW = 20  # at which the torque of a model is computed: its rate counts in the intervals
+DRIVES_A_ROW = 20  # samples of a predicted torque per row: its rate affects the intervals
 
 
 class SampleWeights:
-    """The weights of a recording.
+    """The sample weights of a recording.
 
     Attributes:
-        moves: (N, n) True for joints that move at its samples, and were measured.
-        ramps: (n,) taper L in rows, or `ROWS`, by joint: shorter than requested where a joint's
-            moves
+        moves: (N, n) mask of the samples at which a joint moves and was measured.
+        ramps: (n,) taper L in rows, or `ROWS`, by joint; shorter than requested if a joint's moves
             are short.
         of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
     """
@@ -68,14 +66,14 @@ class SampleWeights:
         ]
         for ramp in (settings.ramp_rows, *(one for one in RAMPS if one < settings.ramp_rows)):
             self.ramps[few] = ramp
-            # negative for `ROWS`
+            # The reach of `ROWS` is negative.
             self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]
             off = [
                 decimation.filtered(1 - self.between(at.start, at.stop))[:, inside]
                 for at, inside in blocks
             ]
-            # 1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain below 1
-            # at frequency 0.
+            # F has a gain below 1 at frequency 0, but 1 - F[1 - w] is 1 to rounding where all
+            # samples have the weight 1.
             share = (1 - np.concatenate(off, axis=1) / decimation.gain).T
             share = np.where(self.ramps == ROWS, moving * share, share)
             self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
@@ -98,8 +96,9 @@ class SampleWeights:
 
 
 def sample_weights(problem: Problem, given: SampleWeights | None = None) -> SampleWeights:
-    """Return the weights of a recording, made once for its motion and settings; or those `given`,
-    from then on.
+    """Return the weights of a recording, computed once for its motion and settings.
+
+    `given` weights replace them from then on.
     """
     s, once = problem.settings, problem.motion.once
     span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
@@ -110,13 +109,13 @@ def sample_weights(problem: Problem, given: SampleWeights | None = None) -> Samp
 
 
 def weights_at(problem: Problem, t_s: Array) -> Array:
-    """Return w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
+    """Return w (n, K) at equidistant samples of the recording, at the times `t_s` (K,)."""
     at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
     return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
 
 
 def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
-    """Refuse recordings in none of which a row of a joint counts, by the weights (rows, n)."""
+    """Refuse recordings if a joint has no row that counts, by the weights (rows, n)."""
     robot = recordings[0].robot
     unmeasured = "; ".join(one.unmeasured for one in recordings if one.unmeasured)
     for j, joint in enumerate(robot.joints):
@@ -132,18 +131,20 @@ def refuse_standing_joints(share: Array, recordings: Sequence[Signals]) -> None:
 
 
 def _moves(problem: Problem) -> Bools:
-    """Return a mask (N, n) of the joints in motion, in samples that were measured.
+    """Return a mask (N, n) of the joints in motion, at samples that were measured.
 
-    No Coulomb direction that acts on such a joint is slow within half a period of the cut-off. Slow
-    means below 4 % of the peak in the time range used, 1 % where friction has terms of slow motion
-    (root, load, Stribeck), or 4 standard deviations of the noise of the regressor's speed if that
-    is more. Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher
-    one; the noise is the difference and, for terms of slow motion, what passes of that of the
-    position. The low-pass smears a speed by half a period of its cut-off, so a joint that sticks
-    for a moment seems to creep.
+    A joint is in motion if no Coulomb direction that acts on it is slow within half a period of the
+    cut-off. Slow means less than 4 % of the peak in the time range used, or 1 % if friction has
+    terms of slow motion (square-root, load-dependent, Stribeck); or less than 4 standard deviations
+    of the noise of the regressor's speed, if that is more.
 
-    A low-pass that was put where the motion ends smears a reversal over more than the reversal
-    takes: at twice that frequency speeds have little more noise, and rows beside reversals stay.
+    Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one. The
+    noise is the difference of both and, for terms of slow motion, the position noise that passes.
+    The low-pass smears a speed by half a period of its cut-off, so that a joint that sticks for a
+    moment seems to creep.
+
+    A low-pass at the end of the motion smears a reversal over more time than the reversal takes. At
+    twice that frequency speeds have little more noise, and rows beside reversals stay.
     """
     settings, fs, N = problem.settings, problem.signals.sample_rate_hz, len(problem.signals.q)
     percent, directions = settings.low_speed_percent, problem.model.coulomb_directions
@@ -184,15 +185,16 @@ def _moves(problem: Problem) -> Bools:
             np.maximum(threshold, least[0]),
         )
     slow = np.abs(speed) < threshold
-    slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
+    # A reversal between two samples has no slow sample of its own.
+    slow[1:] |= speed[1:] * speed[:-1] < 0
     near = [nearby(own, round(0.5 * fs / cutoff_hz)) for own in (slow @ (directions != 0)).T]
     return ~np.stack(near, axis=1) & measured
 
 
 def _noise_of_speed(problem: Problem, cutoff_hz: float) -> Array:
-    """Return the standard deviation (n,) of the noise of the speed after a low-pass.
+    """Return the standard deviation (n,) of the noise of a low-passed speed.
 
-    The position has white noise, which third differences show.
+    The position is assumed to have white noise, which third differences show.
     """
     thirds = np.abs(np.diff(problem.signals.q[:BLOCK_SAMPLES], 3, axis=0))
     passed = np.sqrt(2 * cutoff_hz**3 / (3 * problem.signals.sample_rate_hz))
@@ -222,10 +224,11 @@ class MotionBlock(Motion):
     """A block of a motion, with the margins that the filters of its rows need.
 
     Attributes:
-        problem: of the recording.
-        near: the rows that it has samples of.
-        inside: its own rows among these; `decimation` leads from its samples to the rows.
-        stride: step between samples that suffices for links: more than 1 for a low-passed motion.
+        problem: recording that it belongs to.
+        near: rows that it has samples of.
+        inside: its own rows among these.
+        decimation: decimation from its samples to the rows.
+        stride: step between samples that suffices for links; more than 1 for a low-passed motion.
     """
 
     problem: Problem
@@ -259,7 +262,7 @@ class MotionBlock(Motion):
         """Regressor (n, b, rows) F[w IDM]; columns of load-dependent friction are zero."""
         w, N, links = self.weights, len(self.q), self.problem.base.links
         found = np.zeros((len(w), len(links), self.decimation.rows(N)))
-        # else most of it is the ends
+        # A short block consists mostly of ends, for which a stride saves nothing.
         few = self.stride > 1 and self.stride * self.decimation.end_samples < N
         if (strided := links & few).any():
             at, end = (N - 1) % self.stride, self.decimation.end_samples
@@ -275,8 +278,9 @@ class MotionBlock(Motion):
         return np.ascontiguousarray(found[..., self.inside])
 
     def _series(self, of: Bools, *spans: slice) -> tuple[tuple[Ints, Ints], list[Array]]:
-        """Yield joints and places (E,) of the entries of some columns, and parts of their weighted
-        series (E, N).
+        """Return the entries of some columns, and parts of their weighted series (E, N).
+
+        Entries are joints and places (E,).
         """
         model, places, parts = self.problem.model, np.flatnonzero(of), list[Array]()
         columns = self.problem.base.columns[places]
@@ -289,7 +293,7 @@ class MotionBlock(Motion):
 
     @cached_property
     def known_torque(self) -> Array:
-        """External torque (N, n) of its samples, N m or N, zero for none."""
+        """External torque (N, n) of its samples, N m or N; zero for none."""
         signals = self.problem.signals
         if signals.known_torque is None:
             return np.zeros(self.q.shape)
@@ -301,11 +305,11 @@ class MotionBlock(Motion):
         return self.filtered(self.weights[joints] * x)
 
     def filtered(self, x: Array) -> Array:
-        """Return the rows (..., rows) of series x (..., N)."""
+        """Return the rows F[x] (..., rows) of series x (..., N)."""
         return self.decimation.filtered(x)[..., self.inside]
 
     def kept(self, x: Array) -> Array:
-        """Return the samples of x (N, k) at the instants of the rows, (rows, k)."""
+        """Return the samples (rows, k) of x (N, k) at the instants of the rows."""
         return x[self.decimation.instants(len(x))][self.inside]
 
     def rate(self, x: Array) -> Array:
@@ -318,15 +322,16 @@ class MotionBlock(Motion):
         return self.decimation.factor // DRIVES_A_ROW if self.problem.settings.filtered else 1
 
     def with_torque_of(self, beta: Array) -> "MotionBlock":
-        """Return the same motion with the torque of the drives that base parameters beta (b,)
-        predict, equation (1), which has no noise and is never late.
+        """Return the motion with the torque of the drives that beta (b,) predicts, equation (1).
+
+        That torque has no noise and no delay.
         """
         problem, stride = self.problem, self.torque_stride
         tau = predicted_torque(self, problem.model, problem.base, beta, stride)
         return self.with_torque(tau - self.known_torque)
 
     def with_torque(self, tau: Array) -> "MotionBlock":
-        """Return the same motion, and all that was made of it, with another torque (N, n)."""
+        """Return the motion, and all that was computed from it, with another torque (N, n)."""
         found = object.__new__(MotionBlock)
         vars(found).update(vars(self), tau=tau)
         return found
@@ -337,7 +342,7 @@ class Candidate(Protocol):
 
     @property
     def sliding(self) -> Array:
-        """Largest speeds along the directions of Coulomb friction, (c,)."""
+        """Largest speeds (c,) along the directions of Coulomb friction."""
 
     def columns(self, motion: MotionBlock) -> Array:
         """Return the columns (n, k, rows), weighted and decimated."""
@@ -347,7 +352,7 @@ class Candidate(Protocol):
 
 
 def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
-    """Return the recorded motion of the time range used, low-passed, in blocks."""
+    """Yield the recorded motion of the time range used, low-passed, in blocks."""
     settings, decimation = problem.settings, problem.settings.decimator
     stride = decimation.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)
     for near, inside in row_blocks(problem):
@@ -365,11 +370,11 @@ def motion_blocks(problem: Problem) -> Iterator[MotionBlock]:
 def predicted_torque(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
 ) -> Array:
-    """Return the torque (..., N, n) of the inverse dynamic model along a motion, undecimated.
+    """Return the torque (..., N, n) of the inverse dynamic model along a motion, N m or N.
 
         IDM(q, dq, ddq) beta
 
-    `beta` is (..., b); the torque of links is computed as in `smooth`.
+    It is not decimated. `beta` is (..., b); the torque of links is computed as in `smooth`.
     """
     models = [direct_model_of_base(dynamics, base, one) for one in beta.reshape(-1, base.b)]
     links, gravity = np.array([one.links for one in models]), dynamics.model.gravity.linear

@@ -1,10 +1,9 @@
-"""Zero-phase filters: the low-pass of the position, and the parallel decimation
-of torque and regressor.
+"""Zero-phase filters: low-pass of the position, parallel decimation of torque and regressor.
 
 Filters multiply the spectrum by the response of Butterworth or Chebyshev poles; forward and
-backward the gain is |H|², real. The low-pass treats the ends as MATLAB's `filtfilt`; decimation
-keeps the last sample, as its `decimate`. Decimation smooths the ends; MATLAB's own edge rule, used
-for published digits, is an option.
+backward the gain is |H|², which is real. The low-pass treats the ends as MATLAB's `filtfilt`;
+decimation keeps the last sample, as MATLAB's `decimate`. Decimation smooths the ends; MATLAB's own
+rule for the ends, used for published digits, is an option.
 """
 
 import math
@@ -23,17 +22,22 @@ from ..arrays import Array, Bools, Ints
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
-MAX_PASS = 13  # a decimation by more is made in several passes
-MAX_ALIAS = 1e-3  # of the amplitude in the passband: most that may fold into it
-MIN_RESPONSE = 1e-14  # of an input: below rounding
-# numbers that are filtered at a time: twice as fast as more, which leave the cache
+MAX_PASS = 13  # decimation by a larger factor takes several passes
+MAX_ALIAS = 1e-3  # of the amplitude in the passband, that may fold into it
+MIN_RESPONSE = 1e-14  # of an input, below rounding
+# Numbers that are filtered at a time; more would leave the cache, and take twice as long.
 _IN_CACHE = 120_000
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Filter by equation (A): Butterworth of order 4, forward and backward, along axis 0 (time).
+    """Filter x along axis 0 (time) by equation (A): Butterworth of order 4, both directions.
 
-    `cutoff_hz` is that of one direction.
+    `cutoff_hz` is the -3 dB frequency of one direction.
+
+    Raises
+    ------
+    BadInputError : the cut-off is not between 0 and half the sample rate.
+    NoFitError : there are too few samples.
     """
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise BadInputError(
@@ -45,30 +49,30 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise NoFitError(key="samples to filter", value=len(x), expected=f"more than {padding}")
-    # Relative to the first sample a joint at rest stays at exactly zero: no motion by rounding.
+    # Relative to its first sample a joint at rest stays exactly at zero: rounding does not move it.
     filtered = _butterworth(cutoff_hz, sample_rate_hz).forward_backward((x - x[0]).T, padding)
     return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
 
 
 def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
-    """Return the frequency at which the filter, forward and backward, is down by 3 dB, a factor of
-    sqrt(1/2).
-    """
+    """Return the frequency at which the filter in both directions is down by 3 dB, Hz."""
     x = (np.sqrt(2.0) - 1.0) ** (1 / (2 * BUTTERWORTH_ORDER))
     return float(sample_rate_hz / np.pi * np.arctan(x * np.tan(np.pi * cutoff_hz / sample_rate_hz)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decimation:
-    """Parallel decimation: zero-phase Chebyshev low-pass, then every `factor`-th sample.
+    """Parallel decimation F of equation (6): Chebyshev low-pass, then every `factor`-th sample.
 
-    Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's
-    `decimate` does. The paper's equation (6): the same filter for the torque and for every
-    column of the regressor.
+    The low-pass is zero-phase, of order 8 with 0.05 dB ripple, and cuts off at 0.8/factor of half
+    the rate. The last sample is kept, as by MATLAB's `decimate`. Torque and every column of the
+    regressor pass the same filter.
 
-    The ends are reflected at a line through the last samples, as far as the filter reaches. Without
-    `smooth_ends` they are reflected at the end samples themselves, as in MATLAB: the rows next to
-    them have the noise of these two unfiltered.
+    Attributes:
+        factor: samples per row, n_d.
+        smooth_ends: True to reflect the ends at a line through the last samples. False to reflect
+            them at the end samples themselves, as MATLAB does: the rows next to them then have the
+            noise of these two samples unfiltered.
     """
 
     factor: int = 1
@@ -76,22 +80,20 @@ class Decimation:
 
     @property
     def gain(self) -> float:
-        """|H|² at frequency 0, slightly below 1: the filters are of even order."""
+        """|H|² at frequency 0, which is slightly below 1, as the filters are of even order."""
         return math.prod(_chebyshev(r).dc ** 2 for r in decimation_passes(self.factor))
 
     def rows(self, samples: int) -> int:
-        """Return the number of rows that so many samples give."""
+        """Return the number of rows of so many samples."""
         return -(-samples // self.factor)
 
     def samples(self, rows: slice, N: int) -> slice:
-        """Return the samples of a series of N that give these rows, counted from the last one,
-        which decimation keeps.
-        """
+        """Return the samples of a series of N that give these rows, counted from the last one."""
         start, stop = (N - (self.rows(N) - k) * self.factor for k in (rows.start, rows.stop))
         return slice(max(0, start), stop)
 
     def filtered(self, x: Array) -> Array:
-        """Decimate x along its last axis."""
+        """Decimate x (..., N) along its last axis."""
         return _some_at_a_time(self._filtered, np.atleast_2d(x)).reshape(*x.shape[:-1], -1)
 
     def _filtered(self, x: Array) -> Array:
@@ -111,10 +113,10 @@ class Decimation:
         return np.ascontiguousarray(x)
 
     def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
-        """Decimate as `filtered` a series of which x is every `stride_behind`-th sample.
+        """Decimate a series of which x has every `stride_behind`-th sample, as `filtered`.
 
-        Samples are counted from the last one. `head` and `tail` are all of its first and last
-        samples: `end_samples`, and up to a stride more to reach one of x.
+        Samples are counted from the last one. `head` and `tail` have all of its first and last
+        samples: `end_samples`, and up to a stride more to reach a sample of x.
         """
         return _some_at_a_time(self._filtered_strided, x, head, tail)
 
@@ -133,18 +135,16 @@ class Decimation:
 
     @property
     def end_samples(self) -> int:
-        """Number of samples at each end that `filtered_strided` needs: twice the reach of the first
-        factor.
-        """
+        """Number of samples at each end that `filtered_strided` needs."""
         r = decimation_passes(self.factor)[0]
         return 2 * r * (_chebyshev(r).reach // r + 1)
 
     def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
-        """Return the stride at which a smooth function of the low-passed position needs computing.
+        """Return the stride at which a smooth function of the low-passed position is computed.
 
-        It is the first factor, or 1. The noise of an acceleration rises with the square of
-        frequency, up to the low-pass. The amplitude that folds into the passband may be a
-        thousandth of that in it.
+        It is the first factor of the decimation, or 1. The noise of an acceleration rises with the
+        square of frequency, up to the low-pass. A stride is allowed if the amplitude that folds
+        into the passband is at most a thousandth of that in it.
         """
         passes = decimation_passes(self.factor)
         if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
@@ -160,21 +160,20 @@ class Decimation:
         )
 
     def instants(self, N: int) -> Ints:
-        """Return indices of the decimated instants in N samples: the last one, and every
-        `factor`-th before it.
-        """
+        """Return the samples (rows,) of the rows: the last of N, every `factor`-th before it."""
         return np.arange((N - 1) % self.factor, N, self.factor)
 
 
 def decimation_passes(factor: int) -> tuple[int, ...]:
-    """Return factors, each at most 13 if possible, whose product is `factor`: 100 becomes 10 times
-    10.
+    """Return factors whose product is `factor`, each at most 13 if possible.
+
+    100, for example, becomes 10 times 10.
     """
     divisors = [d for d in range(2, MAX_PASS + 1) if factor % d == 0]
     if factor <= MAX_PASS or not divisors:
         return (factor,) if factor > 1 else ()
-    # The plan with the fewest passes, and of those the most even one: filters of
-    # similar, moderate cut-offs.
+    # The plan with the fewest passes, and of these the most even one, so that the filters have
+    # similar and moderate cut-offs.
     plans = [(d, *decimation_passes(factor // d)) for d in divisors]
     return min(plans, key=lambda plan: (max(plan) > MAX_PASS, len(plan), max(plan)))
 
@@ -187,7 +186,7 @@ def _some_at_a_time(f: Callable[..., Array], *series: Array) -> Array:
 
 
 def _decimated(x: Array, r: int) -> Array:
-    """Decimate once by r with smooth ends.
+    """Decimate x (..., N) once by r, with smooth ends.
 
     Taking every r-th sample sums the r equal parts of the spectrum.
     """
@@ -224,17 +223,15 @@ def _decimated(x: Array, r: int) -> Array:
 
 @lru_cache
 def _line(near: int) -> Array:
-    """Return weights (near,) of samples in the value, at the first one, of the line through
-    them.
-    """
+    """Return the weights (near,) of samples in the first value of a line through them."""
     return np.asarray(np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0])
 
 
 @lru_cache
 def _gain(r: int, rows: int) -> Array:
-    """Return |H|² before decimation by r at the frequencies of the spectrum of `rows` r samples.
+    """Return |H|² of a decimation by r at the frequencies of the spectrum of `rows` r samples.
 
-    Frequencies beyond those of the rows do not matter.
+    It ends where it is negligible.
     """
     gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
     last = int(np.flatnonzero(gain > 1e-3 * MIN_RESPONSE)[-1])
@@ -243,23 +240,24 @@ def _gain(r: int, rows: int) -> Array:
 
 
 def decimation_reach(factor: int) -> int:
-    """Return the number of samples to each side that influence a decimated output."""
+    """Return the number of samples to each side that affect a decimated row."""
     passes = decimation_passes(factor)
     return sum(math.prod(passes[:k]) * _chebyshev(r).reach for k, r in enumerate(passes))
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
-    """Return the number of samples to each side that influence the filtered signal."""
+    """Return the number of samples to each side that affect the low-passed signal."""
     return _butterworth(cutoff_hz, sample_rate_hz).reach
 
 
 class _Filter:
-    """A discrete low-pass: the analogue one with cut-off 1 and these poles (n,), frequencies
-    warped.
+    """A discrete low-pass with the poles (n,) of an analogue one of cut-off 1.
+
+    The bilinear transform maps its frequencies.
     """
 
     def __init__(self, poles: NDArray[np.complexfloating], cutoff: float, dc: float = 1.0) -> None:
-        """Store poles, a cut-off as share of half the rate, and the gain at frequency 0."""
+        """Store the poles, a cut-off as share of half the sample rate, and the gain at 0 Hz."""
         self.poles, self.dc = poles, dc
         self.warp = float(np.tan(0.5 * np.pi * cutoff))
 
@@ -275,7 +273,7 @@ class _Filter:
         return np.asarray(self.dc * np.prod([p / (p - s) for p in self.poles], axis=0))
 
     def forward_backward(self, x: Array, padding: int) -> Array:
-        """Filter x (..., N) forward and backward as MATLAB's `filtfilt` does.
+        """Filter x (..., N) forward and backward as MATLAB's `filtfilt`.
 
         The ends are reflected at the end samples for `padding` samples. Each direction starts in
         the steady state of its first sample.
@@ -288,7 +286,7 @@ class _Filter:
         extended[..., lead : lead + N] = x
         extended[..., lead + N : end] = 2 * x[..., -1:] - x[..., -2 : -padding - 2 : -1]
         extended[..., : self.reach] = extended[..., self.reach, None]
-        # the spectrum is of a periodic signal
+        # The transform treats the signal as periodic, so the end has to return to its start.
         extended[..., end:] = extended[..., self.reach, None]
         forward = np.fft.irfft(np.fft.rfft(extended) * H, size)
         forward[..., end:] = forward[..., end - 1, None]
@@ -303,8 +301,9 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Filter:
 
 @lru_cache
 def _chebyshev(r: int) -> _Filter:
-    """Return the filter of one decimation by r; of even order, it is at the minimum of its ripple
-    at frequency 0.
+    """Return the filter of one decimation by r.
+
+    It is of even order, hence at the minimum of its ripple at frequency 0.
     """
     n, floor = CHEBYSHEV_ORDER, 10 ** (-CHEBYSHEV_RIPPLE_DB / 20)
     a = np.arctanh(floor) / n  # sinh(n a) = 1/eps, eps² = 1/floor² - 1
@@ -313,10 +312,11 @@ def _chebyshev(r: int) -> _Filter:
 
 
 def fast_size(least: int) -> int:
-    """Return the smallest number from `least` on with no factors but 2, 3 and 5, for a fast
-    transform.
+    """Return the smallest size from `least` on with no prime factors but 2, 3 and 5.
+
+    The Fourier transform of such a size is fast.
     """
-    # those divide a power of 30 that is high enough
+    # Such a size divides a power of 30 that is high enough.
     return next(size for size in count(least) if pow(30, size.bit_length(), size) == 0)
 
 

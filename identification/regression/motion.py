@@ -1,8 +1,8 @@
 """Joint motion and torque on one time grid; the low-passed motion of a recording.
 
-What is known of a recording before its fit: the span of samples that is used, without what filters
-distort at the ends, the band of its motion, by the spectra of its positions, and the delay of the
-recorded torque.
+Before a fit the recording itself shows the time range that is used, without the samples that
+filters distort at its ends; the band of its motion, by the spectra of its positions; and prior
+knowledge of the delay of its torque.
 """
 
 import math
@@ -24,37 +24,41 @@ from ..estimation import MOVING
 from ..options import Overrides, Span
 from .filtering import lowpass, lowpass_reach
 
-BLOCK_SAMPLES = 200_000  # of a recording that are processed at a time
-SPLINE_REACH = 40  # samples beyond which the end of a cubic spline has no influence
-_DIFFERENCES = 2  # samples to each side that two central differences reach
-# of a filtered position, 32 MB; a longer recording is filtered again in each pass
+BLOCK_SAMPLES = 200_000  # samples of a recording that are processed at a time
+SPLINE_REACH = 40  # samples after which the end of a cubic spline has no influence
+_DIFFERENCES = 2  # samples to each side that two central differences need
+# Numbers of a filtered position, 32 MB; a longer recording is filtered again in each iteration.
 _MAX_NUMBERS = 4_000_000
 
-# of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+# Share of the peak speed of the fastest joint; a joint that is always slower shows only noise.
 STANDSTILL_SPEED = 0.01
-CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-MIN_ROWS = 30  # decimated, of a fit
+CUT_PERIODS = 5.0  # of the cut-off that are cut at a border: 50 samples at 1 kHz and 100 Hz
+MIN_ROWS = 30  # decimated rows of a fit
 SpanKind = Literal["all", "track", "motion"]
 SPANS: dict[SpanKind, str] = {
     "all": "all samples",
     "track": "the recording's tracking phase",
-    "motion": "the span between first and last motion",
+    "motion": "from first to last motion",
 }
-_SPECTRUM = 200_000  # samples of a recording that show where its motion ends
-_SAMPLES = 20_000  # of these, that show where most of it is
-BAND = 0.99  # of the power of each joint's speed
-# power over that of the noise; parts of a recording whose spectra are averaged
+_SPECTRUM = 200_000  # samples whose spectrum shows at which frequency the motion ends
+_SAMPLES = 20_000  # samples, of these, that show the band of the motion
+BAND = 0.99  # share of the power of each joint's speed
+# Power of motion over that of noise; parts of a recording whose spectra are averaged.
 _FLOOR, _SEGMENTS = 10.0, 8
-LAG_REACH = 3.0  # deviations that the lag may differ from the known one
-NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
+LAG_REACH = 3.0  # standard deviations that a likely delay differs from the prior one
+NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # source and standard deviation of an unknown delay
 
 Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n);
-    rad or m, s, N m or N.
+    """Joint motion and torque on one uniform grid.
+
+    Attributes:
+        t_s: (N,) time, s.
+        q, dq, ddq: (N, n) position, speed and acceleration, rad or m, per s, per s².
+        tau: (N, n) torque, N m or N.
     """
 
     t_s: Array
@@ -68,33 +72,35 @@ class Motion:
             array.flags.writeable = False
 
     def part(self, at: slice) -> "Motion":
-        """Return the samples `at` of it."""
+        """Return the motion of the samples `at`."""
         return Motion(
             t_s=self.t_s[at], q=self.q[at], dq=self.dq[at], ddq=self.ddq[at], tau=self.tau[at]
         )
 
 
 class FilteredMotion:
-    """Motion of a recording, or of other positions (N, n) with its torque, at any cut-off.
+    """Motion of a recording at any cut-off, or of other positions (N, n) with its torque.
 
-    Each cut-off is filtered once, unless the recording is long. What others make of it is kept.
+    Each cut-off is filtered once, unless the recording is long. Results computed from it are kept
+    too.
     """
 
     def __init__(self, signals: Signals, q: Array | None = None) -> None:
-        """Store the signals; `q` (N, n) are other positions than the recorded ones."""
+        """Store the signals; positions `q` (N, n) replace the recorded ones."""
         self._signals, self._q = signals, signals.q if q is None else q
         self._made: dict[object, Any] = {}
 
     def once(self, key: object, make: Callable[[], Made]) -> Made:
-        """Return what is made of this motion, made once; `key` says what it is, with its
-        settings.
+        """Return what `make` returns, computed once.
+
+        `key` identifies the result, with the settings that it depends on.
         """
         if key not in self._made:
             self._made[key] = make()
         return cast(Made, self._made[key])
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
-        """Return the motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
+        """Return the motion of the samples `start` to `stop`, without low-pass for None."""
         s, q, fs = self._signals, self._q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             q, cutoff_hz = (
@@ -111,15 +117,17 @@ class FilteredMotion:
 
 
 def differentiate(x: Array, sample_rate_hz: float) -> Array:
-    """Return central differences along axis 0 (no phase shift), one-sided at the two ends."""
+    """Return central differences of x along axis 0, one-sided at the two ends.
+
+    They have no phase shift.
+    """
     return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
 
 def sampled_at(at: Array, x: Array) -> Array:
-    """Interpolate x (N, n) at places (K,) counted in samples, such as 1.5, by a cubic spline
-    without phase shift.
+    """Interpolate x (N, n) at places `at` (K,) in samples, by a cubic spline.
 
-    Beyond the ends, the end samples are used.
+    Places may be fractions, such as 1.5. Beyond the ends, the end samples are used.
     """
     at = np.clip(at, 0, len(x) - 1)
     picks = np.rint(at).astype(np.intp)
@@ -130,17 +138,16 @@ def sampled_at(at: Array, x: Array) -> Array:
 
 
 def on_spline(i: Ints, u: Array, c: Array) -> Array:
-    """Evaluate the cubic spline of coefficients c (N + 3, n) at u, 0 to 1, after the samples i
-    (K,).
+    """Evaluate the cubic spline of coefficients c (N + 3, n) after the samples i (K,).
 
-    u is () or (K, 1).
+    u, () or (K, 1), is the place from 0 to 1 after each.
     """
     return np.asarray(sum(w * c.take(i + k, axis=0) for k, w in enumerate(_spline_weights(u))))
 
 
 def _spline_weights(u: Array) -> list[Array]:
     """Return the weights of four coefficients, by the place from 0 to 1 between samples."""
-    v, uu = 1 - u, u * u  # a power of 3 takes four times as long as products
+    v, uu = 1 - u, u * u  # products, because a power of 3 takes four times as long
     vv = v * v
     return [w / 6 for w in (vv * v, 4 - 3 * uu * (1 + v), 4 - 3 * vv * (1 + u), uu * u)]
 
@@ -148,13 +155,14 @@ def _spline_weights(u: Array) -> list[Array]:
 def spline_coefficients(x: Array) -> Array:
     """Return coefficients (N + 3, n) of the cubic B-splines that go through x (N, n).
 
-    The splines are about the samples -1 to N + 1. Unser, Aldroubi, Eden, IEEE Trans. Signal
-    Processing 41 (1993):
-    the inverse of the filter (1, 4, 1)/6 falls by the pole 2 - sqrt(3) from sample to sample, to
-    rounding within
-    `SPLINE_REACH`. It is 1/(1 - pole B), B the sample before, and the same backward; each as (1 +
-    pole B)
-    (1 + pole² B²) (1 + pole⁴ B⁴) and so on. Beyond the ends x is reflected at its end samples.
+    The splines are centred at the samples -1 to N + 1. Unser, Aldroubi, Eden, IEEE Trans. Signal
+    Processing 41 (1993): the inverse of the filter (1, 4, 1)/6 decays by the pole 2 - sqrt(3) per
+    sample, to rounding within `SPLINE_REACH`. It is 1/(1 - pole B) forward and backward, with B the
+    sample before, and is computed as
+
+        (1 + pole B) (1 + pole² B²) (1 + pole⁴ B⁴) ...
+
+    Beyond the ends x is reflected at its end samples.
     """
     pole, beyond = np.sqrt(3.0) - 2.0, SPLINE_REACH + 2
     c = np.pad(x, ((beyond, beyond), (0, 0)), mode="reflect", reflect_type="odd")
@@ -164,8 +172,9 @@ def spline_coefficients(x: Array) -> Array:
 
 
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
-    """Compute f(q, dq, ddq) (N, ...) along a smooth motion at every `stride`-th sample, on a cubic
-    spline between them.
+    """Compute f(q, dq, ddq) (N, ...) at every `stride`-th sample, on a cubic spline between them.
+
+    The motion must be smooth, that is, low-passed.
     """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride
@@ -186,8 +195,8 @@ def motion_between(
 ) -> Motion:
     """Return the filtered motion of the samples `start` to `stop` of q, tau (N, n).
 
-    `cutoff_hz` None: no low-pass. Beyond the range only the samples that influence it are filtered:
-    blocks give the same result as the whole.
+    There is no low-pass if `cutoff_hz` is None. Only the samples that affect the range are
+    filtered, so blocks give the same result as the whole.
     """
     margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)
@@ -205,8 +214,9 @@ def motion_between(
 
 
 def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
-    """Return the largest of the `values` (n,) of joints of the same type, (n,); of all joints if
-    that is zero.
+    """Return the largest of the `values` (n,) of joints of the same type, (n,).
+
+    If that is zero, it is the largest of all joints.
     """
     types = np.array([joint.type for joint in joints])
     found = np.array([values[types == of].max() for of in types])
@@ -214,8 +224,9 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
 
 
 def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-    """Return names of the joints whose `peak` speeds (n,) are small compared with the fastest joint
-    of the same type.
+    """Return the joints that do not move, by their `peak` speeds (n,).
+
+    They are slow compared with the fastest joint of the same type.
     """
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
     return tuple(
@@ -228,18 +239,19 @@ class Lag:
     """The delay of the torque of a recording, or of several of equal timing, s, positive if late.
 
     Attributes:
-        value_s, sd_s: the delay and its standard error, which the intervals include; half a 95 %
-            interval is `reach` standard errors. A value given by the user has no standard error.
+        value_s: delay, s.
+        sd_s: standard error of the delay, s, which the intervals include; 0 if the user gave the
+            delay.
         source: where the value comes from.
-        period_s: of the samples.
-        prior: the delay as known without a fit, if data have been combined with it.
-        found: value, standard error and its degrees of freedom by the instruments alone; None if
-            they
+        period_s: sample period, s.
+        reach: half-width of the 95 % interval, in standard errors.
+        prior: delay by prior knowledge, if data have been combined with it.
+        found: value, standard error, and degrees of freedom by the instruments alone; None if they
             do not determine it.
-        by_law_s: the delay at which the given control law reproduces the effort, else None.
-        moved: (b,) shift of each parameter by one standard error of the delay.
-        recordings: their names.
-        order: of the filter that whitens the rows of the delay; 0 without such rows.
+        by_law_s: delay at which the given control law reproduces the effort, s; None without one.
+        moved: (b,) change of each parameter by one standard error of the delay.
+        recordings: names of the recordings.
+        order: order of the filter that whitens the rows of the delay; 0 without such rows.
     """
 
     value_s: float
@@ -256,23 +268,23 @@ class Lag:
 
     @property
     def stated(self) -> bool:
-        """True if the user gave it."""
+        """True if the user gave the delay."""
         return self.sd_s == 0.0
 
     @property
     def half_width_s(self) -> float:
-        """Half its 95 % interval."""
+        """Half-width of its 95 % interval, s."""
         return self.reach * self.sd_s
 
     @property
     def delay_s(self) -> tuple[float, float] | None:
-        """Time from command to torque and half its interval; None without a given control law."""
+        """Time from command to torque and its half-width, s; None without a given control law."""
         if self.by_law_s is None or self.found is None:
             return None
         return self.by_law_s - self.found[0], self.reach * self.found[1]
 
     def with_other(self, other: "Lag") -> "Lag":
-        """Combine both, weighted by their variances."""
+        """Combine both delays, weighted by their variances."""
         own, others = self.sd_s**-2, other.sd_s**-2
         return replace(
             self,
@@ -283,12 +295,11 @@ class Lag:
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> Lag:
-    """Return the delay of a recording's torque as known without a fit.
+    """Return the delay of a recording's torque by prior knowledge.
 
-    The delay among the unknowns starts at this value, with this standard error. A command held for
-    a control period is half that period early: it is recorded at the tick and acts, on average,
-    half a period later. Without a given period it is that of the samples. `"none"` specifies a
-    delay of 0.
+    A command that is held for a control period is half that period early: it is recorded at the
+    tick and acts, on average, half a period later. If no control period is given, it is the sample
+    period. "none" specifies a delay of 0.
     """
     stored = signals.robot.identification
     given = stored.torque_lag_s if overrides.torque_lag_s is None else overrides.torque_lag_s
@@ -306,9 +317,10 @@ def known_lag(signals: Signals, overrides: Overrides) -> Lag:
 def find_span(
     signals: Signals, motion: FilteredMotion, cutoff_hz: float, wanted: Span
 ) -> tuple[SpanKind, tuple[int, int], tuple[str, ...]]:
-    """Return the kind of the time range, its first and last sample, and joints at rest.
+    """Return the kind of the time range, its first and last sample, and the joints at rest.
 
-    `cutoff_hz` separates motion from noise. Joints at rest are None if they are not determined.
+    `cutoff_hz` separates motion from noise. Joints at rest are determined only for the kind
+    `motion`.
     """
     N = len(signals.q)
     if wanted == "all":
@@ -333,8 +345,9 @@ def find_span(
 
 
 def with_torque(signals: Signals, span: tuple[int, int], lag: Lag) -> range:
-    """Return the samples of a time range that no given cut removes, and whose torque is recorded at
-    any likely delay.
+    """Return the samples of a time range whose torque is recorded at every likely delay.
+
+    Cuts that the description gives are removed too.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
@@ -347,9 +360,13 @@ def with_torque(signals: Signals, span: tuple[int, int], lag: Lag) -> range:
 def inside_borders(
     signals: Signals, widest: range, cutoff_hz: float | None, decimation: int, span: str
 ) -> range:
-    """Return the samples that the low-pass does not distort, if no cut is given.
+    """Return the samples that the low-pass does not distort; given cuts replace its border.
 
-    If they are too few for `decimation`, the error has the time range in words.
+    `span` is the time range in words, for the error.
+
+    Raises
+    ------
+    NoFitError : too few samples are left for `decimation`.
     """
     stored, border = signals.robot.identification, border_samples(cutoff_hz, signals.sample_rate_hz)
     used = range(
@@ -374,7 +391,8 @@ def border_samples(cutoff_hz: float | None, fs: float) -> int:
 def motion_end_hz(signals: Signals) -> float:
     """Return the frequency above which no joint's position is more than noise, Hz."""
     fs, N = signals.sample_rate_hz, min(len(signals.q), _SPECTRUM) // _SEGMENTS
-    if N < 3:  # no spectrum: the settings refuse so short a recording
+    # So short a recording has no spectrum; the settings refuse it later.
+    if N < 3:
         return fs
     parts = np.diff(signals.q[: N * _SEGMENTS].reshape(_SEGMENTS, N, -1), axis=1)
     power = (np.abs(np.fft.rfft(np.hanning(N - 1)[:, None] * parts, axis=1)) ** 2).mean(axis=0)
@@ -396,16 +414,16 @@ def motion_band_hz(signals: Signals) -> float:
         return signals.sample_rate_hz
     power = np.where(_above_noise(power, f * stride / signals.sample_rate_hz), power, 0.0)
     size, joints = power.sum(axis=0), signals.robot.joints
-    # without joints that stand, as in `standing_joints`: what is left of them is noise
+    # Joints at rest do not count, as in `standing_joints`, because their spectrum is noise.
     moves = size > STANDSTILL_SPEED**2 * largest_of_type(size, joints)
     below = np.cumsum(power[:, moves], axis=0) < BAND * size[moves]
     return float(f[min(int(below.sum(axis=0).max(initial=0)), len(f) - 1)])
 
 
 def _above_noise(power: Array, f: Array) -> Bools:
-    """Return a mask of spectra (F, n) of steps of the position above white noise of the position.
+    """Return a mask of spectra (F, n) of position steps above white noise of the position.
 
-    The upper half of the frequencies f (F,), in parts of the rate, shows that noise.
+    The upper half of the frequencies f (F,), as shares of the sample rate, shows that noise.
     """
     of_position = power / np.sin(np.pi * f[:, None]) ** 2
     return np.asarray(of_position > _FLOOR * np.median(of_position[f > 0.25], axis=0))

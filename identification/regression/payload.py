@@ -1,8 +1,9 @@
 """The payload of a recording as an addition to the base parameters of its robot.
 
-A payload fixed to the last link adds its ten standard parameters phi to those of the link, so it
-adds K_n phi to the base parameters beta = K chi: its columns are L = W K_n. What is weighed and
-measured of phi is known, the rest is estimated.
+    beta = K chi + K_n phi,     columns L = W K_n
+
+A payload fixed to the last link n adds its ten standard parameters phi to those of the link. The
+weighed mass and the measured centre of mass of phi are known, the rest is estimated.
 """
 
 from collections.abc import Sequence
@@ -29,9 +30,9 @@ from .problem import Problem
 MASS = LINK.index("M")
 MOMENTS = tuple(LINK.index(name) for name in ("MX", "MY", "MZ"))
 ORDER = (MASS, *MOMENTS, *(i for i in range(len(LINK)) if i not in (MASS, *MOMENTS)))
-TOLERANCE = 1e-9  # of the largest column: less of one is a combination of those before it
-KNOWN_SHARE = 1e-4  # deviation of what is known, in the step to the nearest body
-PRIOR_SHARE = 0.5  # of the variance by the prior alone: with more a value comes from the prior
+TOLERANCE = 1e-9  # of the largest column; a smaller rest is a combination of the columns before
+KNOWN_SHARE = 1e-4  # relative standard deviation of known values, for the nearest rigid body
+PRIOR_SHARE = 0.5  # of the variance of the prior alone; with more a value follows from the prior
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,13 +40,13 @@ class PayloadColumns:
     """A payload in the base parameters of its robot: K_n phi = known + columns phi_f.
 
     Attributes:
-        payload: as given.
-        model: of the robot.
-        names: (f,) of the parameters phi_f that are estimated, such as MX:loaded; with R if others
-            are
-            regrouped into it.
-        grouping: (f, 10) phi_f = grouping phi.
-        known: (b,) base parameters of what is known, `fixed` (10,).
+        payload: payload as given.
+        model: inverse dynamic model of the robot.
+        names: (f,) names of the estimated parameters phi_f, such as MX:loaded; with the suffix R if
+            others are regrouped into it.
+        grouping: (f, 10) regrouping phi_f = grouping phi.
+        fixed: (10,) values of phi that are known, else 0.
+        known: (b,) base parameters of `fixed`.
         columns: (b, f) base parameters per unit of phi_f.
         whole: (b, 10) K_n.
     """
@@ -61,8 +62,9 @@ class PayloadColumns:
 
     @cached_property
     def stated(self) -> dict[str, tuple[float, float]]:
-        """First moments that are estimated though the centre of mass is given, kg m: values and
-        half- widths.
+        """Given values and half-widths of estimated first moments, kg m, by name.
+
+        First moments are estimated if the centre of mass is given with a half-width.
         """
         payload = self.payload
         if payload.mass_kg is None or payload.center_of_mass_m is None:
@@ -79,11 +81,10 @@ class PayloadColumns:
         }
 
     def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
-        """Return, by the half-width of the mass and of each coordinate of a centre of mass that is
-        not estimated, changes.
+        """Return the changes by each half-width that is not estimated.
 
-        These are changes of the base parameters (b,), and of the given values of the unknowns
-        `names` (p,).
+        These are half-widths of the mass and of each coordinate of the centre of mass. Each changes
+        the base parameters (b,), and the given values of the unknowns `names` (p,).
         """
         payload, moments = self.payload, {name: value for name, (value, _) in self.stated.items()}
         mass, found = payload.mass_kg or 0.0, list[tuple[Array, Array]]()
@@ -105,15 +106,17 @@ class PayloadColumns:
         return self.known + self.columns @ estimate.values_of(self.names)
 
     def nearest_body(self, phi: Array, covariance: Array | None) -> tuple[Array, Array, Bools]:
-        """Find the rigid body with positive mass density nearest to phi_f (f,) of this covariance
-        (f, f).
+        """Find the rigid body with positive mass density nearest to phi_f.
 
-        The prior is a ball.
+        Parameters
+        ----------
+        phi : (f,) estimate of phi_f.
+        covariance : (f, f) of the estimate; None for a ball with the known values.
 
         Returns
         -------
-        XX XY XZ YY YZ ZZ MX MY MZ M (10,), their standard errors, and a mask of those from the
-        prior.
+        XX XY XZ YY YZ ZZ MX MY MZ M (10,), their standard errors, and a mask of the values that
+        mainly follow from the prior, a ball.
         """
         given = {payload_parameter(name): x for name, x in zip(self.names, phi, strict=True)}
         by_place = [given.get(name, x) for name, x in zip(LINK, self.fixed, strict=True)]
@@ -136,7 +139,8 @@ class PayloadColumns:
             )
             found = consistent_parameters(np.r_[phi, self.fixed[stated]], C, K, body)
             (sigma, share), _ = parameter_certainty(found, C, K, body)
-        except (NoFitError, np.linalg.LinAlgError):  # no body is near: what is known
+        # No rigid body is near the estimate: only the known values are left.
+        except (NoFitError, np.linalg.LinAlgError):
             return self.fixed, *not_found
         return found.chi, sigma, share > PRIOR_SHARE
 
@@ -144,11 +148,12 @@ class PayloadColumns:
 def payload_columns(
     problems: Sequence[Problem], labels: Sequence[str], *, scale: bool
 ) -> list[PayloadColumns | None]:
-    """Return the payload of each recording, None for none; equal payloads have the same parameters.
+    """Return the payload of each recording, None for none.
 
-    A given centre of mass with a half-width is estimated, unless the mass alone would not determine
-    the `scale` of gains. If no recording is without payload, the unknown part of the lightest is
-    left out: the base parameters are those of the robot that carries it.
+    Equal payloads have the same parameters. A centre of mass given with a half-width is estimated,
+    unless the mass alone would not determine the `scale` of drive gains. If every recording has a
+    payload, the unknown part of the lightest is left out: the base parameters are those of the
+    robot with it.
     """
     payloads, found = (
         [problem.signals.payload for problem in problems],
@@ -175,7 +180,7 @@ def _columns(
         fixed[known] = payload_parameters(model, payload)[known]
     places = _independent(P, [i for i in ORDER if i not in known]) if estimated else []
     if estimated and len(known) > 1 and payload.center_half_width_m > 0:
-        # last, so that nothing is regrouped into what is stated
+        # Given moments come last, so that no other parameter is regrouped into them.
         free = _independent(P, [*places, *MOMENTS])
         if not scale or MASS in _independent(P, [*free, MASS]):
             known, places = [i for i in known if i not in free], free
@@ -201,7 +206,7 @@ def _columns(
 
 
 def _independent(P: Array, places: Sequence[int]) -> list[int]:
-    """Return those of `places` whose columns are no combination of the ones before."""
+    """Return the `places` whose columns are not a combination of the ones before."""
     found, basis = list[int](), np.zeros((len(P), 0))
     for place in places:
         rest = P[:, place] - basis @ (basis.T @ P[:, place])

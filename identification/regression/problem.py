@@ -31,21 +31,24 @@ from .settings import (
     with_bandwidth,
 )
 
-FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording, and behind its beginning
-# numbers of the regressor of a block, 64 MB; short blocks spend more time on margins
+FIRST_MINUTES_S, MARGIN_S = 180.0, 5.0  # of a long recording; and after them, for the filters
+# Numbers of the regressor of a block, 64 MB; shorter blocks spend more time on margins.
 _SERIES_BLOCK = 8_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """The data of an identification, made once per fit.
+    """The input of a fit: a recording with its settings and its model, made once.
 
     Attributes:
-        signals: the recording, as recorded.
+        signals: recording, as recorded.
+        settings: samples, filters and weights.
+        model: inverse dynamic model of the robot.
+        base: base parameters, which regroup those of the model.
         motion: low-passed motion of the recording.
-        poses: (P, n) positions in the span used, at which the inertia matrix is checked.
+        poses: (P, n) positions in the time range used, at which the inertia matrix is checked.
         source: where the recording is read again, if the samples are left out.
-        gains: (n,) factors on the described drive gains that a fit found; None before.
+        gains: (n,) factors on the given drive gains that a fit estimated; None before.
     """
 
     signals: Signals
@@ -59,17 +62,22 @@ class Problem:
 
     @property
     def robot(self) -> Robot:
-        """The robot with its drive gains."""
+        """Robot with its drive gains."""
         robot = self.signals.robot
         return (
             robot if self.gains is None else replace(robot, identified_gain=robot.gain * self.gains)
         )
 
     def drives(self, start: int, stop: int, lag_s: float, kappa: Array | None = None) -> Array:
-        """Return the torque (N, n) of the drives that is recorded `lag_s` after the samples `start`
-        to `stop`.
+        """Return the torque (N, n) of the drives at the samples `start` to `stop`, N m or N.
 
-        `kappa` (n,): factors on the given drive gains, by default those that were estimated.
+            sum_m kappa_m E_m(t + L),     equation (I)
+
+        Parameters
+        ----------
+        start, stop : first sample, and the one after the last.
+        lag_s : delay L of the recorded torque, s.
+        kappa : (n,) factors on the given drive gains; by default those that were estimated.
         """
         kappa = self.gains if kappa is None else kappa
         s, by = self.signals, lag_s * self.signals.sample_rate_hz
@@ -85,7 +93,7 @@ class Problem:
 
     @property
     def kinds(self) -> list[str]:
-        """Kinds of the base parameters that belong to joints, (b,); empty for those of links."""
+        """Kinds (b,) of the base parameters that belong to joints; empty for those of links."""
         return [getattr(self.model.sources[c], "kind", "") for c in self.base.columns]
 
     def term_of(self, name: str) -> JointTerm:
@@ -93,14 +101,15 @@ class Problem:
         return self.model.terms[int(self.base.columns[self.base.names.index(name)])]
 
     def joint_of(self, name: str) -> str:
-        """Return the name of its joint, of the last one if it acts at several."""
+        """Return the joint of a base parameter; the last one if it acts at several."""
         return self.signals.robot.joints[int(self.term_of(name).rows[-1])].name
 
     @cached_property
     def exact(self) -> bool:
         """True if columns are computed at every sample.
 
-        Beside those of drives and of load-dependent friction, others are not exact enough.
+        Beside the columns of drives and of load-dependent friction, others would not be exact
+        enough.
         """
         robot = self.signals.robot
         return (
@@ -111,8 +120,9 @@ class Problem:
 
     @property
     def slip_cutoff_hz(self) -> float:
-        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit has
-        none or a higher one.
+        """Cut-off of the speeds that select rows, Hz.
+
+        It is that of the fit, or of the rule if the fit has none or a higher one.
         """
         own_hz = self.settings.cutoff_hz if self.settings.filtered else None
         return rule_cutoff_hz(self.signals) if own_hz is None else own_hz
@@ -120,46 +130,44 @@ class Problem:
     def measured_samples(self, beside: int = 0) -> Bools:
         """Return a mask (N,) of samples far from all that were not measured.
 
-        Far means by half a period of the low-pass, which smears their positions, by what the delay
-        may shift their torques, and by `beside` samples.
+        The distance is half a period of the low-pass, which smears their positions, or the largest
+        likely delay, which shifts their torques; and `beside` samples more.
         """
         fs, lag = self.signals.sample_rate_hz, self.settings.known_lag
         if self.signals.measured is None:
             return np.broadcast_to(True, len(self.signals.t_s) or self.settings.stop)
-        # A torque moved by the lag is made of samples within a quarter of the reach, to 1e-5.
+        # To 1e-5, a shifted torque depends on samples within a quarter of the reach of its spline.
         moved = fs * (abs(lag.value_s) + LAG_REACH * lag.sd_s) + SPLINE_REACH // 4
         return ~nearby(
             ~self.signals.measured, beside + round(max(0.5 * fs / self.slip_cutoff_hz, moved))
         )
 
     def measured_rows(self) -> Bools:
-        """Return a mask (rows,) of decimated rows with only measured samples where the filter rings
-        by more than a thousandth.
+        """Return a mask (rows,) of decimated rows whose filter reaches only measured samples.
 
-        If none remain, the mask has all rows.
+        The reach ends where the filter rings by less than a thousandth. If no row remains, the mask
+        has all rows.
         """
         far = self.measured_samples(8 * self.settings.decimation)[self.settings.instants]
         return far | ~far.any()
 
     @cached_property
     def without_samples(self) -> "Problem":
-        """The same problem without samples: settings, model, a mask of measured samples, and
-        `source`.
-        """
+        """Copy without samples: settings, model, mask of measured samples, and `source`."""
         signals = replace(self.signals.first(0), measured=self.signals.measured, health={})
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":
-        """Return the same with its samples, read again if they are left out."""
+        """Return the problem with its samples, which are read again if they were left out."""
         if len(self.signals.q) or self.source is None:
             return self
-        of = self.signals  # with its bandwidth
+        of = self.signals  # its robot has a bandwidth, that of the recording may not
         signals = replace(self.source.load(), robot=of.robot, motion_hz=of.motion_hz)
         return replace(self, signals=signals, motion=FilteredMotion(signals))
 
     @cached_property
     def for_errors(self) -> "Problem":
-        """The same with the filters of torque errors."""
+        """Copy with the filters of torque errors."""
         stated = self.signals.motion_hz is None
         signals = self.signals if stated else replace(self.signals, motion_hz=None)
         return replace(self, signals=signals, settings=self.settings.for_errors(self.signals))
@@ -182,8 +190,9 @@ class Problem:
         )
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
-        """Return the same without friction terms that are regrouped with nothing; warnings have the
-        reasons.
+        """Return a copy without the given friction terms; the reasons become warnings.
+
+        The terms must not belong to a regrouped parameter.
         """
         return replace(
             self,
@@ -193,7 +202,7 @@ class Problem:
 
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
-    """Refuse names in `gains` that are not motors, and unnamed motors whose gain is not known."""
+    """Refuse names in `gains` that are not motors, and other motors whose gain is unknown."""
     names, place = (
         {motor.name: motor.gain for motor in signals.robot.motors},
         Location(f"robot {signals.robot.name}"),
@@ -212,6 +221,11 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     """Make the input of a fit.
+
+    Parameters
+    ----------
+    signals : the recording.
+    overrides : settings that replace those of the description.
 
     Raises
     ------
@@ -243,9 +257,9 @@ def with_common_band(problems: Sequence[Problem]) -> list[Problem]:
 def row_blocks(problem: Problem) -> list[tuple[slice, slice]]:
     """Return the rows of the time range used, in blocks.
 
-    Each block has the rows that the filters need samples of, and in these its own rows. The borders
-    depend only on the recording. The margins are as long as the reach of the filters, and no block
-    is shorter: blocks give the same result as the whole.
+    Each block is the slice of rows that its filters need samples of, and in it the slice of its own
+    rows. The borders depend only on the recording. Margins are as long as the reach of the filters
+    and no block is shorter, so that blocks give the same result as the whole.
     """
     n_d, rows = problem.settings.decimation, len(problem.settings.instants)
     margin = -(-decimation_reach(n_d) // n_d)

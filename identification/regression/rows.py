@@ -1,12 +1,12 @@
-"""The rows of a recording about values of the unknowns, equations (5), (6) and (C): weighted,
-decimated, stacked by joint and span of time.
+"""The rows of a recording, linearised at values of the unknowns, equations (5), (6) and (C).
 
-    r(x) = F[w (known + drives(x) - arm(x) - load(x))]     the residual, along the measured motion
-    J = -dr/dx                                             the columns of all terms, along it
+    r(x) = F[w (known + drives(x) - arm(x) - load(x))]     residual, along the measured motion
+    J = -dr/dx                                             columns of all terms, along this motion
     Z                                                      the same columns along another motion
 
-Where a span has more rows than columns it has their QR factor, with the same products of columns.
-Linear terms give Y = W beta + rho with W = J and Y = r + J x.
+The rows are weighted, decimated, and stacked by joint and time block. If a block has more rows than
+columns it keeps their R factor, which has the same products of columns. Linear terms give Y = W
+beta + rho with W = J and Y = r + J x.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -27,19 +27,23 @@ from .problem import Problem
 from .terms import Drives, Load, load_of
 from .unknowns import Arm, Stated, Unknowns, make_unknowns
 
-MOST_AT_ONCE = 16  # blocks that are sent to workers: a block has some 10 MB
-# numbers of the positions of all recordings whose measured motion is kept: a few times 8 MB in all
+MOST_AT_ONCE = 16  # blocks sent to the workers at a time: a block has some 10 MB
+# Numbers of the positions of all recordings whose measured motion is kept: a few times 8 MB in all.
 MAX_KEPT = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equation:
-    """The equation of motion of a recording, a sum of terms (C).
+    """The equation of motion of a recording, a sum of terms, equation (C).
 
     Attributes:
         problem: recording, settings, and model of the robot.
-        unknowns: x.
-        arm, drives, load, given: its terms.
+        unknowns: names and places of x.
+        arm: term W beta of links, rotors, friction and payload.
+        drives: term of the drives.
+        load: term of load-dependent friction; empty if the robot has none.
+        stated: term of values given with a half-width; empty if there are none.
+        work: workers of the tasks.
     """
 
     problem: Problem
@@ -52,28 +56,31 @@ class Equation:
 
     @cached_property
     def kept(self) -> tuple[MotionBlock, ...]:
-        """Measured motion of a short recording in blocks, made once; empty for a long one."""
+        """Measured motion of a short recording in blocks, made once; empty for a long recording."""
         few = self.problem.signals.q.size * len(self.unknowns.arms) <= MAX_KEPT
         return tuple(motion_blocks(self.problem)) if few else ()
 
     def read(self) -> "Equation":
-        """Return the same with the samples of its recording."""
+        """Return the equation with the samples of its recording, which are read if necessary."""
         read = self.problem.with_samples()
         return self if read is self.problem else replace(self, problem=read)
 
     @property
     def apart(self) -> "Equation":
-        """The same for tasks of other processes, without samples; itself if there are none."""
+        """Equation without samples, to be sent to another process; itself if there is no other."""
         away = self.work.workers != 1
         return replace(self, problem=self.problem.without_samples) if away else self
 
     def by_block(
         self, task: Callable[..., Any], x: Array, along: Iterable[MotionBlock | None] | None = None
     ) -> Iterator[Any]:
-        """Return the results of a task for each block of the measured motion, and of another
-        motion.
+        """Yield the results of a task for each block of the measured motion.
 
-        The drives have the torque by x (p,). On workers some blocks are computed at a time.
+        Parameters
+        ----------
+        task : function of a block of the measured motion, and of another motion.
+        x : (p,) unknowns, whose drive gains and delay the torque of the drives has.
+        along : blocks of the other motion; the task gets None without one.
         """
         each = zip(
             (
@@ -96,19 +103,17 @@ class Equation:
         return self.arm, self.drives, *self.load, *self.stated
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
-        """Return r(x) (n, rows), equation (C): the known torque that no term explains about x."""
+        """Return r(x) (n, rows), equation (C): the known torque that no term explains at x (p,)."""
         explained = sum(term.torque(x, motion) for term in self.terms)
         return np.asarray(motion.weighted(motion.known_torque.T) - explained)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Return J = -dr/dx (n, p, rows) about x (p,), or Z along another motion."""
+        """Return J = -dr/dx (n, p, rows) at x (p,); or Z, along another motion."""
         return np.asarray(sum(term.columns(x, motion) for term in self.terms))
 
 
 def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE) -> Equation:
-    """Make the equation of motion of recording k: arm, drives, load-dependent friction, and given
-    values.
-    """
+    """Make the equation of motion of recording k."""
     arm, motors = unknowns.arms[k], problem.signals.robot.motors
     places = {motor_of(name): i for i, name in enumerate(unknowns.all) if is_gain(name)}
     return Equation(
@@ -126,9 +131,7 @@ def equation_of(problem: Problem, unknowns: Unknowns, k: int, work: Work = HERE)
 
 
 def equation_alone(problem: Problem) -> tuple[Equation, Array]:
-    """Return the equation of motion of a recording by itself, and x (p,) of nothing but its
-    delay.
-    """
+    """Return the equation of motion of a single recording, and x (p,) with only its delay."""
     unknowns = make_unknowns([problem])
     return equation_of(problem, unknowns, 0), unknowns.start([problem.settings.torque_lag_s])
 
@@ -139,21 +142,20 @@ class Rows:
 
     Attributes:
         x: (p,) values of the unknowns.
-        system: of the free ones: W = J, Y = r + J x.
-        L: (r, h + K) columns of held values, and of the delays; (r, h) without delays if only W and
-            Y
+        system: system of the free unknowns: W = J, Y = r + J x.
+        L: (r, h + K) columns of held values and of delays; (r, h) without delays if only W and Y
             were requested.
         C: (r, k) columns of terms that are not in the model; (r, 0) unless requested.
         fast: (r,) mask of the rows of C that show a delay.
         G: (r, g) columns of links at rest, with C.
-        Z: (r, f) instruments of the free unknowns; (r, 0) where they are W itself.
+        Z: (r, f) instruments of the free unknowns; (r, 0) if these are W itself.
         share: (T, n) weights of the decimated samples, 0 for those that do not count.
-        tau, speed: (T, n) decimated torques by x, not weighted, and speeds of the joints.
-        most: (k, n) largest decimated torques of the drives in each of the blocks.
-        recorded: True if Z are along the measured motion.
-        late: rows of the delay, of unknowns but gains: residual r, columns J and last of the
-            delays;
-            instruments; order of the filter that whitens them. None along the measured motion.
+        tau: (T, n) decimated torques by x, not weighted, N m or N.
+        speed: (T, n) speeds of the joints, rad/s or m/s.
+        most: (k, n) largest decimated torques of the drives in each block.
+        recorded: True if Z is along the measured motion.
+        late: rows of the delay: residual r and columns J (of all unknowns but gains, delays last),
+            instruments, order of the whitening filter. None along the measured motion.
     """
 
     x: Array
@@ -177,7 +179,7 @@ class Rows:
 
     @cached_property
     def counts(self) -> Bools:
-        """Mask of decimated samples that count, (T, n)."""
+        """Mask (T, n) of the decimated samples that count."""
         return self.share > 0
 
     def of(self, places: Ints) -> System:
@@ -188,7 +190,7 @@ class Rows:
         return replace(system, Y=system.Y - system.W[:, held] @ self.x[held]).with_columns(places)
 
     def without(self, names: Collection[str]) -> "Rows":
-        """Return the same without the columns of some parameters."""
+        """Return a copy without the columns of some parameters."""
         stay = np.array([name not in names for name in self.system.names])
         x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         return replace(
@@ -199,8 +201,9 @@ class Rows:
         )
 
     def linearised_at(self, x: Array) -> "Rows":
-        """Return the same about other held values and delays, to first order, without rows of the
-        delay.
+        """Return a copy with other held values and delays, to first order.
+
+        It has no rows of the delay.
         """
         Y = self.system.Y - self.L @ (x - self.x)[len(self.system.names) :]
         return replace(self, x=x, late=None, system=replace(self.system, Y=Y))
@@ -214,12 +217,18 @@ def _rows_of_block(
     motion: MotionBlock,
     z: MotionBlock | None,
 ) -> tuple[SpanRows, SpanRows, Array, Array, Array, Array, Ints]:
-    """Return the rows [G C Z J r] of a block, along its measured motion and along `z`, None for the
-    same.
+    """Return the rows [G C Z J r] of a block, along its measured motion and along `z`.
 
-    Those of the delay follow; (rows, n) torque, speed, weights of the rows of the delay; `most`;
-    and where the rows are split. `asked`: places (k,) of Z in x, further columns, filters of the
-    delay.
+    Also return the rows of the delay; (rows, n) torque, speed, and weights of the rows of the
+    delay; `most` of `Rows`; and where the columns are split.
+
+    Parameters
+    ----------
+    equation : the equation of motion.
+    x : (p,) values of the unknowns.
+    asked : places (k,) of Z in x, provider of further columns, filters of the delay.
+    motion : block of the measured motion.
+    z : block of the other motion; None for the measured one.
     """
     (places, further, lag), lags, share = asked, equation.unknowns.lags, motion.share
     known = motion.problem.signals.known_torque
@@ -236,7 +245,7 @@ def _rows_of_block(
     if further is not None:
         C, fast = further.columns(z), fast_for_lag(z, further.sliding)
         G = further.at_rest(motion)
-    # not the columns of the lags: the rate of a recorded torque is noise
+    # J has no columns of the delays here, because the rate of a recorded torque is noise.
     each = G, C, Z[:, places], J[:, : -len(lags)]
     return (
         SpanRows.of_block(instants, motion.first, np.concatenate([*each, r], axis=1), share, fast),
@@ -264,13 +273,13 @@ def rows_of_recording(
 
     Parameters
     ----------
-    equation : the equation of motion of the recording.
+    equation : equation of motion of the recording.
     x : (p,) values of the unknowns.
-    further : gives the columns C of terms that are not in the model; None for none.
-    along : blocks of another motion, along which Z are the columns, such as that of the simulated
-        robot (D). Without one, Z are along the measured motion, with the torque of the drives that
-        x predicts, as the recorded one is noisy.
-    of_lag : True if there are rows of the delay (G), along the other motion.
+    further : provider of the columns C of terms that are not in the model; None for none.
+    along : blocks of another motion, along which Z is evaluated, such as that of the simulated
+        robot (D). Without one, Z is along the measured motion, with the torque of the drives that x
+        predicts, as the recorded one is noisy.
+    of_lag : True for rows of the delay (G), along the other motion.
 
     Returns
     -------
@@ -280,13 +289,14 @@ def rows_of_recording(
     share = sample_weights(equation.problem).of_rows
     lag = _lag_filters(equation, x, share) if of_lag else None
     f, own = len(unknowns.names), bool(unknowns.motors) or along is not None
-    # Where nothing is asked for but W and Y, no torque is predicted for the columns of lags.
+    # If only W and Y are requested, no torque is predicted for the columns of the delays.
     places = np.r_[: f * own, unknowns.lags] if own or further is not None else np.arange(0)
     task = partial(_rows_of_block, equation.apart, x, (places, further, lag))
-    for motion in equation.kept:  # W for all passes: blocks share what was made before
+    # Evaluate W before blocks are copied with another torque, so that all iterations share it.
+    for motion in equation.kept:
         _ = motion.W
     collected, late, (tau, speed, share_of_lag, most, edges) = _collected(
-        # The robot may have been prepared for other weights.
+        # The robot may have been prepared for other weights, which must not be used here.
         equation.by_block(task, x, along and (replace(z, problem=equation.problem) for z in along))
     )
     rows, fast, followed = collected.rows(share)
@@ -309,18 +319,14 @@ def rows_of_recording(
 
 
 def _lag_filters(equation: Equation, x: Array, share: Array) -> LagFilters:
-    """Return the filters of the rows of the delay, by the residuals about x with the weights
-    `share`.
-    """
+    """Return the filters of the rows of the delay, by the residuals at x."""
     tau, (predicted,), _, speed, *_ = torque_of_recording(equation, x)
     of = np.r_[equation.unknowns.arm, equation.unknowns.lags]
     return LagFilters(equation.problem, of, share, share * (tau - predicted), speed)
 
 
 def _collected(blocks: Iterable[Any]) -> tuple[SpanRows, SpanRows, list[Array]]:
-    """Collect what `_rows_of_block` returns of all blocks: rows, those of the delay, and the
-    arrays.
-    """
+    """Collect the results of `_rows_of_block` of all blocks."""
     rows, late, parts = SpanRows(), SpanRows(), list[Sequence[Array]]()
     for of_block, of_lag, *arrays in blocks:
         rows.add(of_block)
@@ -330,7 +336,7 @@ def _collected(blocks: Iterable[Any]) -> tuple[SpanRows, SpanRows, list[Array]]:
 
 
 def stacked_rows(each: Sequence[Rows]) -> Rows:
-    """Stack the rows of recordings about the same x joint by joint, in the order given."""
+    """Stack the rows of recordings about the same x, joint by joint, in the given order."""
     if len(each) == 1:
         return each[0]
     order = by_joint([rows.system for rows in each])
@@ -354,28 +360,29 @@ def stacked_rows(each: Sequence[Rows]) -> Rows:
 def torque_of_recording(
     equation: Equation, x: Array, *sets: Sequence[Array], judged: bool = False
 ) -> tuple[Array, Array, Bools, Array, Array, Ints]:
-    """Compute the torques of a recording, decimated, without weights and without W.
+    """Compute the measured and predicted torques of a recording, decimated, not weighted.
 
-    Those of links are on a spline between samples of a low-passed motion, at the rule's decimation
-    within 1e-6.
+    Torques of links are on a spline between samples of a low-passed motion; at the decimation of
+    the rule this is exact to 1e-6.
 
     Parameters
     ----------
-    equation : the equation of motion of the recording.
+    equation : equation of motion of the recording.
     x : (p,) unknowns, whose delay and gains the measured torque has.
-    sets : of base parameters (b,), by default those of x alone; each of a set predicts one of as
-        many equal parts of the rows.
-    judged : True for the filters of errors, False for those of the fit.
+    sets : sets of base parameters (b,), by default only those of x. The members of a set predict
+        equal parts of the rows in turn.
+    judged : True for the filters of torque errors, False for those of the fit.
 
     Returns
     -------
-    Measured torque (T, n), that predicted by each set (K, T, n), N m or N, a mask of the rows (T,
-    n)
-    that count, joint speed (T, n), rad/s or m/s, instants (T,), s, and rows of the fit there.
+    Measured torque (T, n); torque predicted by each set (K, T, n), N m or N; a mask (T, n) of the
+    rows that count; joint speed (T, n), rad/s or m/s; instants (T,), s; and the row of the fit at
+    or after each instant.
     """
     sets, s = sets or ([equation.arm.beta(x)],), (of := equation.problem).settings
     rows = len(s.instants)
-    groups = [  # their edges are where spans of the fit end
+    # Parts of the recording end where time blocks of the fit end.
+    groups = [
         (
             s.stop - s.decimation * (rows + -np.arange(1, spans) * rows // spans),
             np.stack([*some], axis=1),
@@ -401,9 +408,7 @@ def torque_of_recording(
 def _torque_of_block(
     groups: Sequence[tuple[Ints, Array]], motion: MotionBlock, _: None
 ) -> tuple[Array, Array, Array]:
-    """Return the measured torque, the torque predicted between samples by betas (parts, K, b), and
-    the speed.
-    """
+    """Return measured torque, torque predicted by betas (parts, K, b), and speed of a block."""
     problem, stride, N = motion.problem, motion.torque_stride, len(motion.q)
     first, predicted = round(motion.t_s[0] * problem.signals.sample_rate_hz), list[Array]()
     for edges, betas in groups:

@@ -1,22 +1,22 @@
 """Settings of a fit: samples, cut-off and decimation, by the rules of the method and overrides.
 
-All follow from the bandwidth w of the position loop, above which the robot does not follow its
-reference, and which the description states:
+All follow from the bandwidth w of the position loop, which the description gives. Above w the robot
+does not follow its reference:
 
-    cut-off of the low-pass     w_fq = 5 w, at least: it does not distort accelerations
-    band of the decimated rows  w_fp = 2 w: torque and regressor above it are noise
+    cut-off of the low-pass     w_fq = 5 w or more, which does not distort accelerations
+    band of the decimated rows  w_fp = 2 w; torque and regressor above it are noise
     decimation                  n_d = 0.8 (f_m / 2) / f_p, as the filter passes 0.8 of half the rate
-    border                      5 periods of w_fq at an end of the recording, where the low-pass
-                                has no samples beyond it: they are cut
+    border                      5 periods of w_fq at an end of the recording are cut, because the
+                                low-pass has no samples beyond it
 
-Where no bandwidth is given, low-pass, rows and simulated loop end where the motion does, by its
-spectrum. Between borders the samples are those of the recording's tracking phase or, without one,
-from the first motion to the last. They are fewer where the torque is recorded late or early, so
-that a delay of any likely value has samples: what is known of it is in `motion`.
+If no bandwidth is given, low-pass, rows and simulated loop end where the motion does, by its
+spectrum. Between the borders the samples are those of the recording's tracking phase or, without
+one, from the first motion to the last. They are fewer if the torque is recorded late or early, so
+that every likely delay has samples.
 
-Slow samples weigh nothing, by a threshold that least squares and instruments have each their own.
-What of this the description or an option states replaces the rule, with a warning where that
-distorts the estimates.
+Slow samples have zero weight; least squares and instrumental variables have a threshold each. A
+setting in the description or an option replaces a rule, with a warning if that distorts the
+estimates.
 """
 
 from dataclasses import dataclass, replace
@@ -54,38 +54,38 @@ from .motion import (
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
-# of the peak: slower joints stick and slip, which sign(dq) does not describe
+# Of the peak speed: a slower joint sticks and slips, which sign(dq) does not describe.
 LOW_SPEED_PERCENT = 4.0
-MIN_RATE_HZ = 1.0  # of samples that follow a robot
-MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
-ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
-RAMPS = (2.0, 0.5, 0.0, ROWS)  # L in rows; short moves need short ramps
-# loop bandwidth / motion bandwidth of a simulated loop; at 1.0 the loop itself lags: friction holds
-# a UR5's wrist back by 30 %
+MIN_RATE_HZ = 1.0  # a lower sample rate cannot follow a robot
+MAX_CUTOFF_SHARE = 0.4  # of the sample rate, for the cut-off of the rule
+ROWS = -1.0  # in place of a taper L: no weights, but the rows in which the joint moves
+RAMPS = (2.0, 0.5, 0.0, ROWS)  # tapers L in rows; short moves need short tapers
+# Loop bandwidth over motion bandwidth of a default PD controller. At 1.0 the loop itself is late:
+# friction holds a UR5's wrist back by 30 %.
 SURROGATE_BANDWIDTH_RATIO = 2.0
-# torque errors are told behind the filters of the rule for a loop of so many times the band of the
-# motion, whatever the fit's own are
+# Torque errors have the filters of the rule for a loop of so many times the band of the motion,
+# independent of the fit's own filters, so that errors of different fits can be compared.
 LOOP_PER_BAND = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """A fit's settings, resolved.
+    """The settings of a fit of a recording.
 
     Attributes:
-        cutoff_hz: low-pass of the position (one direction), None without.
-        decimator: the decimation of torque and regressor.
-        used: the samples that are used.
-        widest: the same with those that filters distort at the ends.
-        samples: those of the recording.
+        cutoff_hz: low-pass of the position (in one direction), Hz; None for none.
+        decimator: decimation of torque and regressor.
+        used: samples that are used.
+        widest: the same with the samples that filters distort at the ends.
+        samples: number of samples of the recording.
         span_kind: kind of the time range, a key of `SPANS`.
         filtered: True if the low-pass is that of the rule, or a lower one.
-        band_hz: of the motion: below it lies nearly all power of each joint's speed.
-        low_speed: slower samples have zero weight, by method.
-        low_speed_percent: of the method of this fit (`weights`).
+        band_hz: band of the motion, with nearly all power of each joint's speed, Hz.
+        low_speed: by method, percentage of the peak speed below which samples have zero weight.
+        low_speed_percent: that of the method of this fit; None for the rule.
         ramp_rows: weight taper L, in rows.
-        lag: the delay of the recorded torque, which is corrected; if a fit estimated it, `prior` is
-            the one known without.
+        lag: delay of the recorded torque, which is corrected; if a fit estimated it, `prior` is the
+            prior knowledge.
         overloads: recorded efforts beyond a limit of the description, each a warning too.
         warnings: rules of the method that are not followed.
     """
@@ -117,7 +117,7 @@ class Settings:
 
     @property
     def span(self) -> str:
-        """The samples that are used, in words."""
+        """Time range that is used, in words."""
         return SPANS[self.span_kind]
 
     @property
@@ -142,20 +142,18 @@ class Settings:
 
     @property
     def known_lag(self) -> Lag:
-        """Delay as known without a fit, by user and recording."""
+        """Delay by prior knowledge, of user and recording."""
         return self.lag.prior or self.lag
 
     @property
     def instants(self) -> Ints:
-        """Samples (rows,) of the decimated rows: the last of the time range, every n_d-th
-        before.
-        """
+        """Samples (rows,) of the decimated rows: the last one used, and every n_d-th before it."""
         return self.start + self.decimator.instants(len(self.used))
 
     def for_errors(self, signals: Signals) -> "Settings":
-        """Return the same with the filters of torque errors.
+        """Return a copy with the filters of torque errors.
 
-        If the recording is too short for them, these are the filters of the fit, with a warning.
+        If the recording is too short for them, it has the filters of the fit, with a warning.
         """
         fs = signals.sample_rate_hz
         hz = min(LOOP_PER_BAND * self.band_hz, MAX_CUTOFF_SHARE * fs / CUTOFF_PER_BANDWIDTH)
@@ -164,8 +162,8 @@ class Settings:
         used = range(max(self.widest.start, border), min(self.widest.stop, self.samples - border))
         if len(used) < MIN_ROWS * decimation:
             text = (
-                f"{signals.recording} is too short for the filters behind which torque errors "
-                "are told: they include noise that passes those of the fit"
+                f"{signals.recording} is too short for the filters of torque errors, so the errors "
+                "include noise that the filters of the fit pass"
             )
             return replace(self, warnings=(*self.warnings, text))
         return replace(
@@ -174,7 +172,7 @@ class Settings:
             decimator=replace(self.decimator, factor=decimation),
             used=used,
             filtered=True,
-            # whatever the terms of friction are
+            # The same for all friction terms, so that their errors can be compared.
             low_speed_percent=LOW_SPEED_PERCENT
             if self.low_speed_percent is None
             else self.low_speed_percent,
@@ -183,11 +181,11 @@ class Settings:
 
 
 def with_bandwidth(signals: Signals) -> Signals:
-    """Return the signals with a bandwidth of the position loop: the given one, or one that follows
-    the motion.
+    """Return the signals with a bandwidth of the position loop.
 
-    The tracking of the reference does not show it: with speed fed forward the position follows
-    without an error, and a reference recorded some milliseconds early has one without a loop.
+    It is the given one, or one high enough to follow the motion. It cannot be found from the
+    tracking of the reference: with speed fed forward the position follows without an error, and a
+    reference recorded some milliseconds early shows one without a loop.
     """
     robot, fs = signals.robot, signals.sample_rate_hz
     if robot.controller.bandwidth_hz is not None:
@@ -202,27 +200,33 @@ def with_bandwidth(signals: Signals) -> Signals:
 def make_settings(
     signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None
 ) -> Settings:
-    """Make settings for a recording: rules from the position loop's bandwidth, then robot.toml,
-    then options.
+    """Make settings for a recording: rules by the bandwidth, then robot.toml, then options.
 
-    The cut-off is 5 times the bandwidth, or the end of the motion if no bandwidth is given;
-    decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the time range between first
-    and last motion, or the recording's tracking phase; 5 periods of the cut-off are cut where that
-    range reaches an end of the recording. `motion` is that of the recording, if there is one.
+        w_fq = 5 w,     n_d = 0.8 (f_m / 2) / f_p,     f_p = 2 w
+
+    If no bandwidth w is given, w_fq is the end of the motion. The time range is the recording's
+    tracking phase, or that between first and last motion; 5 periods of the cut-off are cut where it
+    reaches an end of the recording.
+
+    Parameters
+    ----------
+    signals : the recording.
+    overrides : settings that replace those of the description.
+    motion : low-passed motion of the recording, if there is one already.
     """
     _refuse_low_rate(signals)
     stored, given = signals.robot.identification, overrides.low_speed_percent
     low_speed = low_speed_by_method(stored.low_speed if given is None else given)
-    # A fit with --gains starts with gains of one where none is described: its
-    # efforts are no torques yet.
+    # A fit of drive gains starts with gains of one if none are given: its efforts are not yet
+    # torques.
     overloads = (
         check_recorded_efforts(signals.robot, signals.effort)
         if signals.robot.identified_gain is None
         else ()
     )
-    # Before filters and spans: these are refused for what wrong positions make of them.
+    # Wrong positions are refused first, because they also make filters and time range fail.
     positions = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
-    # 0 for no low-pass; None for that of the rule
+    # 0 is no low-pass, None that of the rule.
     stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
     cutoff_hz = _cutoff_hz(signals, stated_hz)
     decimator = Decimation(
@@ -277,14 +281,15 @@ def _refuse_low_rate(signals: Signals) -> None:
 
 
 def _cutoff_hz(signals: Signals, stated_hz: float | None) -> float | None:
-    """Return the cut-off, given or, for None, by the rule; None for no low-pass.
+    """Return the cut-off of the low-pass, Hz; None for no low-pass.
 
-    The rule has none if half the rate is below it.
+    `stated_hz` is the given one, None for the rule. The rule has no low-pass if its cut-off is
+    above half the sample rate.
 
     Raises
     ------
-    BadInputError : a given cut-off is above half the rate.
-    NoFitError : a recording is shorter than the border of the low-pass, or than a period of the
+    BadInputError : a given cut-off is above half the sample rate.
+    NoFitError : the recording is shorter than the border of the low-pass, or than a period of the
         loop.
     """
     fs, N, stored = signals.sample_rate_hz, len(signals.q), signals.robot.identification
@@ -326,38 +331,38 @@ def _warnings_of_filters(
     """Return warnings on rules that low-pass and decimation do not follow."""
     fs, bandwidth_hz = signals.sample_rate_hz, signals.robot.bandwidth_hz
     highest_hz, passband_hz = _highest_hz(signals), 0.8 * fs / (2 * decimation)
-    lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
+    lowpass = "no low-pass" if cutoff_hz is None else f"a low-pass at {cutoff_hz:.3g} Hz"
     stated = signals.motion_hz is None
     warnings = (
         (
             cutoff_hz is None and stated_hz is None,
-            f"no low-pass: 5 times the bandwidth is {highest_hz:g} Hz, above half the rate, "
-            f"{fs / 2:g} Hz",
+            f"positions have no low-pass, since 5 times the bandwidth, {highest_hz:g} Hz, is more "
+            f"than half the sample rate, {fs / 2:g} Hz",
         ),
         (
             not stated,
-            f"controller.bandwidth_hz is not stated: {lowpass}, a PD of {bandwidth_hz:.3g} Hz "
-            "simulated if no loop is "
-            f"described; {signals.recording} has only noise above {highest_hz:.3g} Hz",
+            f"controller.bandwidth_hz is not given: the fit uses {lowpass}, and a default PD "
+            f"controller of {bandwidth_hz:.3g} Hz if the control law is unknown; "
+            f"{signals.recording} has only noise above {highest_hz:.3g} Hz",
         ),
         (
             stated and cutoff_hz is not None and cutoff_hz < highest_hz * (1 - 1e-9),
-            f"the cut-off of {cutoff_hz or 0.0:g} Hz is below 5 times the bandwidth of "
-            f"{bandwidth_hz:g} Hz: it distorts the accelerations and the estimates",
+            f"the cut-off of {cutoff_hz or 0.0:g} Hz is less than 5 times the bandwidth of "
+            f"{bandwidth_hz:g} Hz, which distorts the accelerations and the estimates",
         ),
         (
             stated
             and decimation > _row_rule(signals)
             and passband_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz,
             f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth "
-            f"of {bandwidth_hz:g} Hz",
+            f"of {bandwidth_hz:g} Hz, so the rows lack a part of the motion",
         ),
     )
     return [text for holds, text in warnings if holds]
 
 
 def _highest_hz(signals: Signals) -> float:
-    """Return the frequency where the low-pass of the rule ends."""
+    """Return the cut-off of the rule, Hz."""
     return signals.motion_hz or CUTOFF_PER_BANDWIDTH * signals.robot.bandwidth_hz
 
 
@@ -368,13 +373,14 @@ def _row_rule(signals: Signals) -> int:
 
 
 def rule_cutoff_hz(signals: Signals) -> float:
-    """Return the cut-off by the rule, at most 0.4 times the rate."""
+    """Return the cut-off of the rule, at most 0.4 times the sample rate, Hz."""
     return min(_highest_hz(signals), MAX_CUTOFF_SHARE * signals.sample_rate_hz)
 
 
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
-    """Return n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower number with
-    small factors.
+    """Return n_d = round(0.8 (f_m/2) / f_p), with f_p twice the bandwidth.
+
+    If that has a large prime factor, the next lower number without one is returned.
     """
     n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
     while any(r > MAX_PASS for r in decimation_passes(n_d)):

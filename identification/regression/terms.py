@@ -1,10 +1,12 @@
 """The model as a sum of terms, equation (C): known torque = sum of the torques of all terms + r.
 
-A term is asked two things along a motion, measured or simulated: `torque`, the torque (n, rows)
-that it explains, and `columns` (n, p, rows), the derivatives of that torque by the unknowns x (p,);
-all are weighted and decimated, in N m or N. The torques of `Drives` are negative, as they stand on
-the other side. J and Z are the same columns along two motions. The term `Arm` of links, rotors,
-friction and payload stands in `unknowns`. What links and friction do is told at some rows, too.
+Each term has two functions of a motion, measured or simulated: `torque`, the torque (n, rows) that
+it explains, and `columns` (n, p, rows), the derivatives of that torque by the unknowns x (p,). Both
+are weighted and decimated, in N m or N. The torques of `Drives` are negative, as they are on the
+other side of the equation. J and Z are the same columns along two motions. The term `Arm` of links,
+rotors, friction and payload is in `unknowns`.
+
+This module also evaluates torques of links and powers of friction at some rows.
 """
 
 from collections.abc import Sequence
@@ -24,32 +26,33 @@ from .blocks import MotionBlock, motion_blocks
 from .problem import Problem
 from .unknowns import Arm
 
-STATES = 300  # rows of a recording to evaluate friction at
+STATES = 300  # rows of a recording at which friction is evaluated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drives:
     """The torque of the drives, -sum_m kappa_m E_m(t + L), equation (I).
 
-    Factors kappa on the given drive gains and the delay L are unknowns. E_m is the torque at the
-    joints of motor m by its given gain.
+    Factors kappa on the given drive gains and the delay L are unknowns. E_m is the torque of motor
+    m at the joints by its given gain.
 
     Attributes:
         gains: (n,) places of kappa in x; -1 for a given gain.
-        lag: place of L in x, in s; positive: the torque is recorded late.
+        lag: place of L in x, s; positive if the torque is recorded late.
     """
 
     gains: Ints
     lag: int
 
     def factors(self, x: Array) -> Array | None:
-        """Return kappa (n,) by the unknowns x (p,); None where all gains are described."""
+        """Return kappa (n,) of the unknowns x (p,); None if all gains are given."""
         of = self.gains >= 0
         return np.where(of, x[self.gains], 1.0) if of.any() else None
 
     def with_gains_and_lag(self, x: Array, motion: MotionBlock) -> MotionBlock:
-        """Return a measured motion with the torque sum_m kappa_m E_m(t + L) (N, n), N m or N, of
-        equation (I) in place of the recorded one.
+        """Return a measured motion with the torque sum_m kappa_m E_m(t + L), equation (I).
+
+        It replaces the recorded torque, (N, n) in N m or N.
         """
         problem, t_s = motion.problem, motion.t_s
         first = round(t_s[0] * problem.signals.sample_rate_hz)
@@ -62,8 +65,9 @@ class Drives:
         return -motion.weighted(motion.tau.T)
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the derivatives (n, p, rows): -F[w E_m(t + L)] by kappa_m, and by L
-        -F[w d/dt sum_m kappa_m E_m(t + L)], equation (G).
+        """Return the derivatives (n, p, rows) by kappa_m, and by L, equation (G).
+
+        by kappa_m:  -F[w E_m(t + L)],     by L:  -F[w d/dt sum_m kappa_m E_m(t + L)]
         """
         tau, R = motion.tau, motion.problem.signals.robot.R
         found = np.zeros((len(R), len(x), len(motion.share.T)))
@@ -80,15 +84,15 @@ class Drives:
 class Load:
     """Load-dependent friction, equation (H): mu_j |tau_links| sign(dq_j).
 
-    tau_links is the torque of the links alone on the motion's own grid, before any decimation.
-    About x its columns are |tau_links| sign(dq) of mu_j, and mu_j s W of the links' parameters, s =
-    sign(tau_links) sign(dq): the residual is that of the model itself, so steps converge to the
+    tau_links is the torque of the links alone on the grid of the motion, before any decimation. At
+    x its columns are |tau_links| sign(dq) of mu_j, and mu_j s W of the links' parameters, with s =
+    sign(tau_links) sign(dq). The residual is that of the model itself, so steps converge to the
     best fit, and intervals are valid for mu and the links together.
 
     Attributes:
-        arm: whose base parameters have it.
-        joints, places: the joints (k,) with load-dependent friction, and the places of their mu in
-            beta.
+        arm: term with the base parameters.
+        joints: (k,) joints with load-dependent friction.
+        places: (k,) places of their mu in beta.
     """
 
     arm: Arm
@@ -102,8 +106,9 @@ class Load:
         return found
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the derivatives (n, p, rows) by mu_j, and those by the links' parameters that load
-        friction adds to their own.
+        """Return the derivatives (n, p, rows) by mu_j, and by the links' parameters.
+
+        The latter are added to the links' own columns.
         """
         beta, W, links = self.arm.beta(x), np.zeros_like(motion.W), motion.problem.base.links
         sizes = self._sizes(beta, motion)
@@ -113,17 +118,17 @@ class Load:
         return np.asarray(self.arm.P.T @ W)
 
     def _sizes(self, beta: Array, motion: MotionBlock) -> tuple[Array, Array]:
-        """F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
+        """Return F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
         joints, q, dq, ddq = self.joints, motion.q, motion.dq, motion.ddq
         links = torque_of_links(motion.problem, beta, q, dq, ddq)[:, joints]
         sign = np.sign(dq[:, joints])
-        # s is only a derivative: without the filter it does not move the solution.
+        # s is only a derivative, so leaving out the filter does not change the solution.
         s = motion.kept(np.sign(links) * sign).T
         return motion.weighted((np.abs(links) * sign).T, joints), s
 
 
 def load_of(problem: Problem, arm: Arm) -> tuple[Load, ...]:
-    """Return the load-dependent friction of a robot; none if it has none."""
+    """Return the load-dependent friction of a robot; empty if it has none."""
     places = [i for i, kind in enumerate(problem.kinds) if kind == "load"]
     joints = [int(problem.term_of(problem.base.names[i]).rows[0]) for i in places]
     return (Load(arm=arm, joints=joints, places=places),) if places else ()
@@ -134,8 +139,8 @@ def torque_of_links(problem: Problem, beta: Array, q: Array, dq: Array, ddq: Arr
 
     Parameters
     ----------
-    problem : has the robot and its b base parameters.
-    beta : (b,) their values; those that are not of links have no part in it.
+    problem : the robot and its b base parameters.
+    beta : (b,) their values; only those of links count.
     q, dq, ddq : (N, n) motion of the joints, rad or m, per s and per s².
     """
     return direct_model_of_base(problem.model, problem.base, beta).torques_of_links(q, dq, ddq)
@@ -149,9 +154,7 @@ def why_not_simulated(problem: Problem, arm: Arm, x: Array) -> str | None:
 
 
 def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
-    """Return about 300 rows (k,) of a recording, evenly spaced, and q, dq, ddq (k, n) at their
-    instants.
-    """
+    """Return about 300 evenly spaced rows (k,) of a recording, and their q, dq, ddq (k, n)."""
     rows, blocks = len(problem.settings.instants), motion_blocks(problem.with_samples())
     wanted = np.arange(0, rows, max(1, rows // STATES))
     parts = [[motion.kept(x) for x in (motion.q, motion.dq, motion.ddq)] for motion in blocks]
@@ -160,10 +163,10 @@ def row_states(problem: Problem) -> tuple[Ints, Array, Array, Array]:
 
 
 def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None:
-    """Return speeds and loads (m, n) at which the power of further friction terms is evaluated.
+    """Return speeds and loads (m, n) at which the power of further friction is evaluated.
 
-    They are made from states of a recording and base parameters beta (b,); None if there is viscous
-    and Coulomb friction only.
+    They follow from states of a recording and base parameters beta (b,). None is returned if there
+    is viscous and Coulomb friction only.
     """
     if not any(j.one_sided or set(j.terms) & set(SHAPES) for j in problem.signals.robot.joints):
         return None
@@ -174,7 +177,8 @@ def friction_states(problem: Problem, beta: Array) -> tuple[Array, Array] | None
 def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
     """Return the friction power (m, p) per unit of the standard parameters at recorded speeds.
 
-    The link torque is that of base parameters beta (b,); None without further friction terms.
+    The torque of links is that of base parameters beta (b,). None is returned without further
+    friction terms.
     """
     found = [
         friction_power(problem.model, np.arange(problem.model.p), *states)
@@ -185,7 +189,10 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
-    """Return speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
+    """Return speeds and torques of links (rows, n) at the rows.
+
+    Of a long recording only the first block is evaluated.
+    """
     motion = next(motion_blocks(problem.with_samples()))
     q, dq, ddq = (motion.kept(x) for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem, beta, q, dq, ddq)

@@ -2,19 +2,20 @@
 
     beta_k = P_k x + known_k
 
-P_k and known_k are constant. A shared base parameter, or one of recording k alone, is a unit column
-of P_k; the free part of a payload K_n phi are further columns, its known part is in known_k. x has,
-in this order:
+P_k and known_k are constant. A base parameter, common or of recording k alone, is a unit column of
+P_k. The estimated part of a payload K_n phi has further columns; its known part is in known_k. x
+has, in this order:
 
-    Fv1, Off1@A, Off1@B, ZZ2 ...    base parameters as in the model, those of one recording each in
-                                    the order of the recordings, in the place of the common one
-    MX:loaded ...                   what is estimated of each payload
-    K:motor_1 ...                   gains of drives, as factors on the described ones
-    K:motor_2, half-width 0:0 ...   what is given with a half-width
+    Fv1, Off1@A, Off1@B, ZZ2 ...    base parameters as in the model; per-recording parameters are
+                                    in the order of the recordings, at the place of the common one
+    MX:loaded ...                   estimated parameters of each payload
+    K:motor_1 ...                   drive gains, as factors on the given ones
+    K:motor_2, half-width 0:0 ...   values that are given with a half-width
     lag 0 ...                       the delay of each group of recordings
 
-Rows determine all up to the gains: these are the free unknowns. What is given is held at its
-value, its columns only widen the intervals; the delays have rows of their own.
+The first three, up to the drive gains, are the free unknowns, which the rows determine. A value
+given with a half-width is held; its columns only widen the intervals. Delays have rows of their
+own.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,27 +36,27 @@ from .blocks import MotionBlock
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
 
-# of `own`, and of the terms of the model
+# Kinds of `identification.own`, and the kinds of terms that they stand for.
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
 
 
 def base_places(names: Sequence[str]) -> Ints:
-    """Return the places of the base parameters in names, some of which may be of payloads and
-    gains.
-    """
+    """Return the places of base parameters in `names`, which may include payloads and gains."""
     return np.flatnonzero([bool(is_base(name)) for name in names])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
-    """The base parameters of one recording, beta = P x + known, of the robot with what it carries:
-    the term W beta.
+    """The term W beta of a recording: the base parameters of the robot with its payload.
+
+        beta = P x + known
 
     Attributes:
-        names: (b,) of its base parameters without payload, in x.
+        names: (b,) names of the base parameters without payload, in x.
         unknowns: (p,) names of x.
-        P, known: (b, p) and (b,).
-        payload: what it carries; None for nothing.
+        P: (b, p) matrix.
+        known: (b,) base parameters of the known part of the payload.
+        payload: payload; None for none.
     """
 
     names: tuple[str, ...]
@@ -65,7 +66,7 @@ class Arm:
     payload: PayloadColumns | None = None
 
     def beta(self, x: Array) -> Array:
-        """Return the base parameters (b,)."""
+        """Return the base parameters (b,) at x (p,)."""
         return np.asarray(self.P @ x + self.known)
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
@@ -78,15 +79,11 @@ class Arm:
 
     @property
     def own(self) -> set[str]:
-        """Names of the parameters that other recordings do not have; those of equal payloads are
-        the same.
-        """
+        """Names of the per-recording parameters; those of equal payloads are the same."""
         return set(filter(is_own, self.names)) | set(self.payload.names if self.payload else ())
 
     def values(self, estimate: Estimate) -> Array:
-        """Return the base parameters (b,) by an estimate, in which unknowns that it lacks are
-        zero.
-        """
+        """Return the base parameters (b,) of an estimate; unknowns that it lacks are zero."""
         return self.beta(estimate.values_of(self.unknowns))
 
     def carried(self, estimate: Estimate) -> Array:
@@ -96,15 +93,15 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Held:
-    """A value given with a half-width, which an estimate holds; intervals count it.
+    """A value given with a half-width; an estimate holds it, and intervals include it.
 
     Attributes:
-        name: in x.
-        value: in x.
+        name: name in x.
+        value: value in x.
         half: half-width of its 95 % interval.
-        given: changes of the other given values of the free unknowns (f,) per unit.
-        column: the torque (n, rows) that it adds per unit about x (p,) along a motion, weighted and
-            decimated; None for the gain of a drive, whose term has it.
+        stated: (f,) changes of the other given values among the free unknowns, per unit.
+        column: function that returns the torque (n, rows) per unit at x (p,) along a motion,
+            weighted and decimated; None for a drive gain, whose term has it.
     """
 
     name: str
@@ -118,18 +115,20 @@ class Held:
 class Stated:
     """The given values as a term: the torques of those that have a column.
 
-    `held` are all, `first` is the place of their first in x.
+    Attributes:
+        held: all given values.
+        first: place of the first one in x.
     """
 
     held: tuple[Held, ...]
     first: int
 
     def torque(self, x: Array, motion: MotionBlock) -> Array:
-        """Return the torque (n, rows) by x (p,)."""
+        """Return the torque (n, rows) at x (p,)."""
         return np.asarray(x @ self.columns(x, motion))
 
     def columns(self, x: Array, motion: MotionBlock) -> Array:
-        """Return its derivatives (n, p, rows)."""
+        """Return the derivatives (n, p, rows) of the torque."""
         found = np.zeros((len(motion.share), len(x), motion.share.shape[1]))
         for place, held in enumerate(self.held, self.first):
             if held.column is not None:
@@ -142,16 +141,14 @@ class Unknowns:
     """The unknowns x of several recordings.
 
     Attributes:
-        names: (f,) of the free ones: base parameters, per-recording ones of a kind in sequence;
-            payloads; gains of motors.
-        arms: by recording.
-        motors: motors whose gains are free.
-        gains: their places.
-        payloads: of the recordings, each once.
-        held: given values.
-        groups: places of the recordings with a common delay: those of the same effort object,
-            timing
-            and rate.
+        names: (f,) names of the free unknowns: base parameters (per-recording ones of a kind in
+            sequence), payloads, drive gains.
+        arms: term of the base parameters, by recording.
+        motors: motors whose drive gains are free.
+        gains: places of these gains in x.
+        payloads: payloads of the recordings, each once.
+        held: values given with a half-width.
+        groups: recordings with a common delay: same effort object, timing and rate.
     """
 
     names: tuple[str, ...]
@@ -169,16 +166,16 @@ class Unknowns:
 
     @property
     def lags(self) -> Ints:
-        """Places of the delays, by group, (K,)."""
+        """Places (K,) of the delays, by group."""
         return np.arange(len(self.all) - len(self.groups), len(self.all))
 
     @property
     def arm(self) -> Ints:
-        """Places of the free unknowns but gains."""
+        """Places of the free unknowns without the drive gains."""
         return np.arange(self.gains.start)
 
     def start(self, lags_s: Sequence[float]) -> Array:
-        """Return x (p,) with only given drive gains, given values, and known delays."""
+        """Return x (p,) of given drive gains, values and delays; all others are zero."""
         gains, held = np.ones(len(self.motors)), [stated.value for stated in self.held]
         return np.asarray(np.r_[np.zeros(self.gains.start), gains, held, lags_s])
 
@@ -188,10 +185,10 @@ class Unknowns:
         return self.names == self.arms[0].names and not any(arm.payload for arm in self.arms)
 
     def simulated(self, x: Array, C: Array | None) -> list[tuple[Array, Array | None, Array]]:
-        """Return by recording what is simulated for x.
+        """Return by recording what is simulated for x (p,) with covariance C (p, p).
 
-        This is base parameters (b,), their covariance without the payload, and the share (b,) of
-        the body nearest to the payload in them. C: covariance of x.
+        This is base parameters (b,), their covariance (b, b) without the payload, and the share
+        (b,) of the rigid body nearest to the payload in them.
         """
         found = []
         for arm in self.arms:
@@ -201,14 +198,16 @@ class Unknowns:
                 phi, _, _ = arm.payload.nearest_body(
                     x[own], None if C is None else C[np.ix_(own, own)]
                 )
-                # the arm has what is not known of a payload of which nothing is estimated
+                # If nothing of the payload is estimated, the arm's parameters include its unknown
+                # part.
                 carried = arm.payload.whole @ phi if len(own) else arm.known
             found.append((x[at] + carried, None if C is None else C[np.ix_(at, at)], carried))
         return found
 
     def repeated(self, x: Array, beta: Array) -> Array:
-        """Return x with base parameters beta (b,), the same for every recording, without payloads,
-        with given gains.
+        """Return x (p,) with base parameters beta (b,) in every recording.
+
+        Payloads are zero and drive gains those given.
         """
         values = dict(zip(map(base_name, self.arms[0].names), beta, strict=True))
         arm = [values.get(base_name(name), 0.0) for name in self.names[: self.gains.start]]
@@ -218,14 +217,18 @@ class Unknowns:
 def make_unknowns(
     problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()
 ) -> Unknowns:
-    """Make the unknowns of several recordings, and the gains of `motors`.
+    """Make the unknowns of several recordings.
 
-    Per-recording parameters are of the kinds that the first one's description lists, or else of
-    those of `friction` that are regrouped with nothing.
+    Parameters
+    ----------
+    problems : the recordings.
+    motors : motors whose drive gains are unknowns.
+    friction : kinds of per-recording parameters, if the description of the first recording lists
+        none. Parameters of these kinds that others are regrouped with stay common.
 
     Raises
     ------
-    BadInputError : the robot lacks a kind, or gravity or other parameters absorb it.
+    BadInputError : the robot has no parameter of a listed kind, or it is regrouped with others.
     """
     robot, labels = problems[0].signals.robot, _labels([one.signals.recording for one in problems])
     names = _base_names(problems[0], labels, friction)
@@ -272,10 +275,10 @@ def _held(
     payloads: Sequence[PayloadColumns],
     free: tuple[str, ...],
 ) -> tuple[Held, ...]:
-    """Return the values given with a half-width: drive gains, beside those of `motors`, masses and
-    centres of mass.
+    """Return the values given with a half-width, in half-widths.
 
-    They are in half-widths; `free` are the names of the free unknowns.
+    These are drive gains of other motors than `motors`, masses, and centres of mass. `free` are the
+    names of the free unknowns.
     """
     return (
         *(
@@ -300,9 +303,7 @@ def _held(
 
 
 def lag_groups(problems: Sequence[Problem]) -> tuple[tuple[int, ...], ...]:
-    """Return places of recordings with a common delay: those of the same effort object, timing and
-    rate.
-    """
+    """Return the recordings with a common delay: same effort object, timing and rate."""
     groups: dict[object, list[int]] = {}
     for k, problem in enumerate(problems):
         signals, known = problem.signals, problem.settings.known_lag
@@ -320,9 +321,7 @@ def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | N
 
 
 def _with_payload(payload: Payload, moves: Array, _: Array, motion: MotionBlock) -> Array:
-    """Return the torque (n, rows) of `moves` (b,) of the base parameters of recordings with a
-    payload.
-    """
+    """Return the torque (n, rows) of changes `moves` (b,), zero without this payload."""
     return np.asarray(moves @ motion.W * (motion.problem.signals.payload == payload))
 
 
@@ -331,7 +330,7 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> Ints:
 
 
 def _own_places(problem: Problem, kind: str) -> list[int]:
-    """Return places of the base parameters of a kind, none of which is regrouped."""
+    """Return the places of the base parameters of a kind; refuse regrouped ones."""
     base, model, found = problem.base, problem.model, list[int]()
     place, key = Location(f"robot {problem.signals.robot.name}"), "identification.own"
     columns = [c for c, term in model.terms.items() if term.kind == KINDS[kind]]
@@ -359,9 +358,7 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
 
 
 def _labels(recordings: Sequence[str]) -> list[str]:
-    """Return short names of recordings: without their endings, and numbered if these are not
-    unique.
-    """
+    """Return short names of recordings: without endings, and numbered if not unique."""
     stems = [Path(name).stem for name in recordings]
     unique = len(set(stems)) == len(stems)
     return stems if unique else [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]

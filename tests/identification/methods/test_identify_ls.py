@@ -105,7 +105,7 @@ def test_low_cutoff_warns_and_options_override():
     assert make_settings(signals, Overrides()).warnings == ()
     plan = make_settings(signals, Overrides(cutoff_hz=10.0, decimation=7))
     assert (plan.cutoff_hz, plan.decimation) == (10.0, 7)
-    assert "below 5 times the bandwidth of 5 Hz" in plan.warnings[0]
+    assert "less than 5 times the bandwidth of 5 Hz" in plan.warnings[0]
     assert make_settings(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
     (told,) = make_settings(signals, Overrides(decimation=30)).warnings
     assert "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz" in told

@@ -24,7 +24,7 @@ ROTOR, VISCOUS, COULOMB = (
     np.array(x) for x in ([0.6, 0.6, 0.4, 0.1, 0.1, 0.1], [8, 8, 5, 1, 1, 1], [10, 12, 8, 2, 2, 2])
 )
 RATE_HZ, DURATION_S, AHEAD_S = 125.0, 30.0, 0.004
-NOT_STATED = "controller.bandwidth_hz is not stated: "
+NOT_STATED = "controller.bandwidth_hz is not given: the fit uses "
 
 
 @cache
@@ -103,8 +103,8 @@ def test_filters_and_loop_reported_consistently(ur5):
     assert loop_hz == pytest.approx(2 * cutoff_hz)
     assert problem.settings.decimation == pytest.approx(0.4 * RATE_HZ / cutoff_hz, rel=0.1)
     assert problem.settings.warnings == (
-        f"{NOT_STATED}low-pass at {cutoff_hz:.3g} Hz, a PD of {loop_hz:.3g} Hz simulated if no "
-        "loop is described; "
+        f"{NOT_STATED}a low-pass at {cutoff_hz:.3g} Hz, and a default PD controller of "
+        f"{loop_hz:.3g} Hz if the control law is unknown; "
         f"{ur5.recording} has only noise above {cutoff_hz:.3g} Hz",
     )
     (page,) = draw_recording(ur5, Overrides()).document.sections[:1]
@@ -113,7 +113,7 @@ def test_filters_and_loop_reported_consistently(ur5):
 
 @pytest.mark.parametrize(
     ("given_hz", "told"),
-    [(2.0, "low-pass at 2 Hz"), (20.0, "low-pass at 20 Hz"), (0.0, "no low-pass")],
+    [(2.0, "a low-pass at 2 Hz"), (20.0, "a low-pass at 20 Hz"), (0.0, "no low-pass")],
 )
 def test_given_cutoff_stays_loop_unchanged(ur5, given_hz, told):
     free, given = (make_problem(ur5, Overrides(cutoff_hz=x)) for x in (None, given_hz))
