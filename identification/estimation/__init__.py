@@ -1,7 +1,7 @@
 """Least squares, instrumental variables and their tests, on arrays; independent of robots.
 
 It owns the system of rows, its estimates, their intervals, and the nearest physically consistent
-parameters. It may import the records of `report`, but no other subpackage; it has no robot, no
+parameters. It may use the records of `report`, but no other subpackage; it has no robot, no
 recording and no file.
 """
 

@@ -5,8 +5,8 @@
     Simulated, Pass              motion of the simulated robot; estimate of one iteration
     Solution                     estimate, and the inputs of its tests
 
-`idim.solve` shows the whole method on one screen. This subpackage may import `trust` and the
-subpackages below.
+It owns the model of a fit, the iterations and the solution. `idim.solve` shows the whole method
+on one screen. It may use `trust` and the subpackages below.
 """
 
 from .idim import solve

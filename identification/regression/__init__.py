@@ -1,7 +1,7 @@
 """From signals to the rows [C Z J r]: settings, filters, motions, sample weights, terms, rows.
 
 It owns `Problem`, a recording with its settings and its model, and the terms whose columns make the
-rows. It may import `model` and the subpackages below.
+rows. It may use `model` and the subpackages below.
 """
 
 from .blocks import (
