@@ -370,12 +370,14 @@ class Fit:
             ),
             sections=(
                 report.Section(
-                    title=f"the {len(best)} best known parameters",
+                    title=f"The {len(best)} parameters with the narrowest intervals",
                     warnings=tuple(
                         x.text for x in self.trust if x.level in ("do not use", "caution")
                     ),
                     table=report.Table(
-                        columns=report.columns("name", "unit", numbers=("value", "±95%")),
+                        columns=report.columns(
+                            "name", "unit", numbers=("value", "95 % half-width")
+                        ),
                         rows=tuple(
                             (
                                 p.name,

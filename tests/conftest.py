@@ -16,6 +16,7 @@ from identification.commands import main as identify
 from identification.model import InverseModel
 
 pytest_plugins = ["slow_tests"]
+os.environ.pop("COLUMNS", None)  # workers of xdist have 80
 # However long this machine takes for an example.
 hypothesis.settings.register_profile(
     "busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]

@@ -165,12 +165,12 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
             "with them" if model.exogenous else "without a recorded reference"
         )
         ending = {"none": not found.parameters_settled, "no simulation": True}
-        line = {"fixed point": FIXED_POINT.judge(ending, why=text)}
+        line = {"convergence": FIXED_POINT.judge(ending, why=text)}
     else:
         alone = model.unknowns.plain and not len(model.load)
         # The first recording is enough, as the test uses only the first minutes of a long one.
         first = inputs.problem.with_samples()
-        line = {"position noise": position_noise_line(first, method, ls, kept, alone=alone)}
+        line = {"noise bias": position_noise_line(first, method, ls, kept, alone=alone)}
     inputs = replace(inputs, made={**inputs.made, **line})
     return Solution(model=model, x=x, inputs=inputs, least_squares=ls, essential=kept)
 

@@ -130,7 +130,7 @@ def inputs_of(
         lags=lags,
         essential=tuple(filter(is_base, essential_names(essential, estimate, within))),
         made={
-            "fixed point": FIXED_POINT.judge({"least squares": True}),
+            "convergence": FIXED_POINT.judge({"least squares": True}),
             "control law": control_law_line(problems, model.laws),
         },
     )
@@ -198,7 +198,7 @@ def solution_by_instruments(
     return Solution(
         model=model,
         x=x,
-        inputs=replace(inputs, first_stage_F=F, made={**inputs.made, "fixed point": line}),
+        inputs=replace(inputs, first_stage_F=F, made={**inputs.made, "convergence": line}),
         least_squares=loop.ls,
         essential=loop.essential,
         simulated=confirmed,
@@ -236,7 +236,7 @@ def status_of(
             f"F = {first_stage_F:.2g}",
         )
     if best.by_reference:
-        return "converged", f"instruments: reference; {best.by_reference}"
+        return "converged", f"instruments from the reference; {best.by_reference}"
     unconfirmed = _unconfirmed(model, best, confirmed)
     if last.is_last:
         if unconfirmed is None and last.kind != "simulated":

@@ -49,6 +49,7 @@ from .fit_file import (
     versions,
 )
 from .parameters import (
+    OF_LINKS,
     PER_INTERVAL,
     ConsistentFile,
     Covariance,
@@ -66,6 +67,7 @@ from .parameters import (
     is_gain,
     is_load,
     is_own,
+    meaning_of,
     motor_of,
     own_name,
     payload_name,

@@ -67,13 +67,15 @@ class Table:
 class Section:
     """A section of a report: a title, a table, lines and warnings; each may be missing.
 
-    `short` is the part that a terminal prints without `--all`; None for all of it.
+    `short` is the part that a terminal prints without `--all`; None for all of it. `hint` names
+    what `--all` would print; only a terminal shows it.
     """
 
     title: str = ""
     table: Table | None = None
     lines: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    hint: str = ""
     short: "Section | None" = None
 
     def with_short_table(self, order: Sequence[int], most: int = 10) -> "Section":
@@ -82,9 +84,9 @@ class Section:
         """
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self
-        table = replace(self.table, rows=tuple(self.table.rows[k] for k in sorted(order[:most])))
-        hidden = f"{len(self.table.rows) - len(table.rows)} rows hidden (--all)"
-        return replace(self, short=replace(self, table=table, lines=(*self.lines, hidden)))
+        rows = tuple(self.table.rows[k] for k in sorted(order[:most]))
+        hint = f"{len(self.table.rows) - len(rows)} more rows: --all"
+        return replace(self, short=replace(self, table=replace(self.table, rows=rows), hint=hint))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@ Independent of the methods, so that reading a file does not load them.
 """
 
 import math
+import re
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -31,8 +32,26 @@ from .parameters import (
 Method = Literal["ols", "wls", "iv"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
 Verdict = Literal["trust", "caution", "do not use"]
-Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
+Level = Literal["do not use", "caution", "inconclusive", "skipped", "ok"]
 
+# Of tests, levels and assumptions in files of earlier versions, the words of this one.
+NEW_WORDS = {
+    "fixed point": "convergence",
+    "added columns": "missing terms",
+    "held-out blocks": "cross-validation",
+    "position noise": "noise bias",
+    "halves": "first against second half",
+    "gains": "drive gains",
+    "lag": "delay",
+    "physical": "physical plausibility",
+    "prior": "a priori links",
+    "consistent": "physically consistent",
+    "ends": "outliers",
+    "own parameters": "per-recording parameters",
+    "cannot tell": "inconclusive",
+    "not made": "skipped",
+}
+_OLD_WORD = re.compile(rb'("(?:test|level|what)"\s*:\s*)"([^"]*)"')
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
@@ -116,20 +135,22 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         test: its name, such as `convergence`.
         level: `skipped` if the test could not be made, `inconclusive` if it cannot decide.
         value: its figure, None if there is none.
-        text: one sentence with the figure, and what to do.
+        text: what was found, with the figure and its consequence.
+        advice: what to do, an imperative; empty if there is nothing to do.
         finding: the same in a few words, for the first line of a report.
         figures: by joint, motor or block its name, value, half-width of the 95 % interval, and
             expected value, for a plot, in `unit`.
         case: which of its cases in the table of words holds.
         assumed: what the test cannot check; a file has all assumptions in one place.
 
-    A file of an earlier version has the first four alone.
+    A file of an earlier version has the first four alone, with the advice in the text.
     """
 
     test: str
     level: Level
     value: float | None
     text: str
+    advice: str = ""
     finding: str = ""
     figures: tuple[tuple[str, float | None, float | None, float | None], ...] = ()
     unit: str = ""
@@ -354,6 +375,10 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
     consistent_errors: list[TorqueResidual] | UnsetType = UNSET
 
 
+def _new_word(found: re.Match[bytes]) -> bytes:
+    return found[1] + f'"{NEW_WORDS.get(found[2].decode(), found[2].decode())}"'.encode()
+
+
 def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
@@ -363,7 +388,7 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
     """
     content, place = read_bytes(Path(path)), Location(str(path))
     try:
-        stored = msgspec.json.decode(content, type=FitFile)
+        stored = msgspec.json.decode(_OLD_WORD.sub(_new_word, content), type=FitFile)
     except msgspec.MsgspecError as error:
         other = kind_of(Path(path)).replace("json", "")
         text = (

@@ -13,7 +13,7 @@ Names of recordings and motors may have either sign in them: the first one in a 
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated
 
@@ -63,6 +63,45 @@ def recording_of(name: str) -> str:
 def payload_parameter(name: str) -> str:
     """Return the parameter without the recording of its payload: MX of MX:loaded."""
     return name.partition(":")[0]
+
+
+MEANINGS = {
+    "M": "mass",
+    **{f"M{axis}": f"first moment {axis.lower()}" for axis in "XYZ"},
+    **{f"{axis}{axis}": f"moment of inertia {axis.lower()}{axis.lower()}" for axis in "XYZ"},
+    **{axes: f"product of inertia {axes.lower()}" for axes in ("XY", "XZ", "YZ")},
+    "Ia": "rotor inertia",
+    "Fv": "viscous friction",
+    "Fvp": "viscous friction forwards",
+    "Fvn": "viscous friction backwards",
+    "Fvm": "viscous friction",
+    "Fc": "Coulomb friction",
+    "Fcp": "Coulomb friction forwards",
+    "Fcn": "Coulomb friction backwards",
+    "Fcm": "Coulomb friction",
+    "Fa": "asymmetric friction",
+    "Fr": "square-root friction",
+    "Frm": "square-root friction",
+    "Fs": "Stribeck friction",
+    "Fsm": "Stribeck friction",
+    "mu": "load-dependent friction",
+    "Off": "offset",
+}
+OF_LINKS = tuple(MEANINGS)[:10]
+
+
+def meaning_of(name: str, joints: Sequence[str]) -> str:
+    """Return a parameter in words: `first moment x of link 2`, `Coulomb friction of elbow`.
+
+    `joints` are the names of the joints, in order. A gain or an unknown name gives an empty text.
+    """
+    found = re.match(r"([A-Za-z]+?)R?(\d*)R?(?:[:@](.*)|$)", name, re.DOTALL)
+    kind, number, where = found.groups() if found else ("", "", None)
+    if kind not in MEANINGS:
+        return ""
+    place = "payload" if not number else f"link {number}" if kind in OF_LINKS else ""
+    place = place or (f"motor {number}" if kind.endswith("m") else joints[int(number) - 1])
+    return f"{MEANINGS[kind]} of {place}" + (f" in {where}" if where else "")
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):

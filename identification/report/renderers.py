@@ -2,6 +2,7 @@
 for notebooks and pages.
 """
 
+import os
 import re
 import textwrap
 from collections.abc import Sequence
@@ -35,9 +36,9 @@ def print_whole(*items: Document | str, short: bool = False) -> None:
     gets lines of reports broken between words; longer words stay whole.
     """
     console = Console(markup=False, emoji=False)
-    width = _MAX_WIDTH if not short else console.width if console.is_terminal else SHORT_WIDTH
     if not console.is_terminal:
-        console.width = _MAX_WIDTH
+        console.width = int(os.environ.get("COLUMNS") or SHORT_WIDTH) if short else _MAX_WIDTH
+    width = console.width if short else _MAX_WIDTH
     for item in items:
         if isinstance(item, str):
             _print_line(console, item)
@@ -58,7 +59,9 @@ def _print_section(console: Console, section: Section, width: int) -> None:
     for line in section.lines:
         _print_line(console, line, width=width)
     for warning in section.warnings:
-        _print_line(console, f"warning: {warning}", "yellow", width)
+        _print_line(console, f"Warning: {warning}", "yellow", width)
+    if section.hint:
+        _print_line(console, section.hint, "dim", width)
 
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
@@ -70,7 +73,9 @@ def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_
         break_long_words=False,
         break_on_hyphens=False,
     ) or [""]:
-        console.print(Text(line.replace("\0", " "), style=style))
+        console.print(
+            Text(line.replace("\0", " "), style=style), no_wrap=True, overflow="ignore", crop=False
+        )
 
 
 def _rich_table(table: Table) -> RichTable:
@@ -87,6 +92,7 @@ def _print_table(console: Console, table: RichTable) -> None:
     unbounded = console.options.update(max_width=_MAX_WIDTH)
     if Measurement.get(console, unbounded, table).maximum > console.width:
         _remove_frame(table)
+        table.padding = 0
         for column in table.columns:
             _compact(column)
     least = Measurement.get(console, unbounded, table).minimum
@@ -118,7 +124,7 @@ def to_markdown(document: Document) -> str:
     """Return the report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
-        warnings = (f"- **warning: {_plain(text)}**" for text in section.warnings)
+        warnings = (f"- **Warning: {_plain(text)}**" for text in section.warnings)
         parts += [
             f"## {_plain(section.title)}" if section.title else "",
             _markdown_table(section.table) if section.table else "",
@@ -198,7 +204,7 @@ def _html_section(section: Section, heading: int) -> list[str]:
         *([_element(f"h{heading}", section.title)] if section.title else []),
         *([_html_table(section.table)] if section.table else []),
         *(_element("p", text) for text in section.lines),
-        *(_element("p", f"warning: {text}", "warning") for text in section.warnings),
+        *(_element("p", f"Warning: {text}", "warning") for text in section.warnings),
     ]
 
 

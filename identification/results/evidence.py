@@ -292,7 +292,7 @@ class Evidence:
     @property
     def held_out_error_percent(self) -> float | None:
         """Torque error of time blocks predicted by the others, percent."""
-        return self.trust.line("held-out blocks").value
+        return self.trust.line("cross-validation").value
 
 
 def validated(problem: Problem, beta: Array) -> FitOnRecording:

@@ -62,7 +62,7 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
         "doubts": [
             report.PhysicalWarning(text=line.text, severe=line.level == "do not use")
             for line in lines
-            if line.test == "physical" and line.level != "ok"
+            if line.test == "physical plausibility" and line.level != "ok"
         ],
         "held_out_error_percent": fit.held_out_error_percent,
         "prior_source": fit.data.prior_source or UNSET,

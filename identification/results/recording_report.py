@@ -49,7 +49,7 @@ def recording_document(
         sections=(
             Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
             Section(
-                title="ranges",
+                title="Ranges",
                 table=Table(
                     columns=columns("joint", "unit", numbers=("position from", "to"))
                     + columns("unit", numbers=("effort from", "to")),
@@ -77,33 +77,25 @@ def validation_document(
     consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """Make the report on the torque errors of a fit on recordings that it was not fitted to."""
-    names = [one.signals.recording for one in recordings]
-    told = [OnRecording(**with_settings(one.signals, one.problem.settings)) for one in recordings]
-    table = Table(
-        columns=columns("recording", numbers=("torque error",)),
-        rows=tuple(
-            (name, Number(one.errors[-1].relative_error_percent, ".4f"))
-            for name, one in zip(names, recordings, strict=True)
-        ),
-    )
+    each = [(one.signals.recording, one) for one in recordings]
     return Document(
-        title=f"{fit} on {', '.join(names)}: {headline(errors)}",
+        title=f"{fit} on {', '.join(x for x, _ in each)}: {headline(errors)} torque error",
         sections=(
             Section(
                 lines=(
                     error_line(errors, recordings[0].problem.settings.cutoff_hz),
-                    *([f"consistent set: {headline(consistent)}"] if consistent else []),
+                    *(f"{x}: {headline(one.errors)}" for x, one in each if len(each) > 1),
+                    *(f"Physically consistent: {headline(x)}" for x in [consistent] if x),
                 ),
                 warnings=warnings,
             ),
-            *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
             *(
                 [
                     replace(
                         errors_section(consistent),
-                        title="relative torque error of the consistent set, %",
+                        title="Torque error of the physically consistent set, %",
                         short=None,
                     )
                 ]
@@ -111,10 +103,12 @@ def validation_document(
                 else []
             ),
             Section(
-                title="settings",
-                lines=(
-                    *(line for one in told for line in settings_lines(one, used="evaluated on")),
-                    *(line for one in told for line in recording_lines(one)),
+                title="Settings",
+                lines=tuple(
+                    line
+                    for one in recordings
+                    for told in [OnRecording(**with_settings(one.signals, one.problem.settings))]
+                    for line in (*settings_lines(told, used="evaluated on"), *recording_lines(told))
                 ),
             ),
         ),
@@ -134,8 +128,9 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     ]
     return [
         Section(
-            title="position by the direct model, open loop from measured states: error, % of the "
-            "way moved",
+            title="Position error of the direct model, open loop from measured states, % of the "
+            "way "
+            "moved",
             table=Table(
                 columns=columns("joint", numbers=tuple(f"after {x:g} s" for x in HORIZONS_S)),
                 rows=tuple(rows),
@@ -162,7 +157,7 @@ def recordings_section(fit: FitFile) -> Section:
     lines = [
         f"{one.recording} cannot be predicted by the others: "
         + (
-            f"{', '.join(one.undetermined)} undetermined"
+            f"{', '.join(one.undetermined)} not well determined"
             if one.undetermined
             else "it has no torque"
         )
@@ -171,22 +166,22 @@ def recordings_section(fit: FitFile) -> Section:
     ]
     if own := fit.own_parameters:
         lines.append(
-            f"own parameters {', '.join(own.names)} against shared ones: F test p = "
+            f"per-recording parameters {', '.join(own.names)} against shared ones: F test p = "
             f"{Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
     row_hz = (fit.sample_rate_hz or 0.0) / (fit.decimation or 1)
     cutoff = "no low-pass" if fit.cutoff_hz is None else f"low-pass {fit.cutoff_hz:g} Hz"
     return Section(
-        title="recordings: relative torque error, %",
+        title="Recordings: torque error, %",
         table=Table(
-            columns=columns("recording", numbers=("Hz", "from, s", "to, s", "trained", "held out")),
+            columns=columns("recording", numbers=("Hz", "from, s", "to, s", "fitted", "held out")),
             rows=rows,
         ),
         lines=(
             *lines,
-            "held out: predicted by a fit of the other recordings, in the same rows",
-            f"common to all: {cutoff}, {row_hz:g} rows a second",
+            "Held out: predicted by a fit of the other recordings, over the same rows",
+            f"Common to all: {cutoff}, {row_hz:g} rows per second",
             *(line for one in each for line in recording_lines(one)),
         ),
         short=Section(lines=tuple(lines)),
@@ -195,17 +190,16 @@ def recordings_section(fit: FitFile) -> Section:
 
 def headline(errors: tuple[TorqueResidual, ...]) -> str:
     """Return the main figure of a report."""
-    return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} % torque error"
+    return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} %"
 
 
 def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> str:
     """Return the relative torque error of all joints together, with its rows and low-pass."""
     e = errors[-1]
     return (
-        f"relative {headline(errors)} in the {e.moving_rows} of "
-        f"{e.moving_rows + e.standing_rows} rows in which "
-        "joints move, behind "
-        + (f"a low-pass of {cutoff_hz:.3g} Hz" if cutoff_hz else "no low-pass")
+        f"Torque error: {headline(errors)} in motion ({e.moving_rows} of "
+        f"{e.moving_rows + e.standing_rows} rows, "
+        + (f"low-pass {cutoff_hz:.3g} Hz)" if cutoff_hz else "no low-pass)")
     )
 
 
@@ -228,10 +222,10 @@ def main_figures(
     if percents:
         worst = max(percents, key=percents.__getitem__)
         shown |= {
-            f"half of the {len(percents)} determined parameters": (
-                f"±{np.median([*percents.values()]):.2g} %"
+            f"median 95 % half-width of {len(percents)} well-determined parameters": (
+                f"{np.median([*percents.values()]):.2g} %"
             ),
-            f"the worst, {worst}": f"±{percents[worst]:.2g} %",
+            f"largest 95 % half-width ({worst})": f"{percents[worst]:.2g} %",
         }
     return tuple(shown.items())
 
@@ -239,7 +233,6 @@ def main_figures(
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
     """Make the section of relative torque errors by joint; all joints together come last."""
     each = [f"{e.name} {Number(e.relative_error_percent, '.2g').text} %" for e in errors[:-1]]
-    numbers = ("torque error", "rows moving", "rows standing", "residual lag-1")
     rows = tuple(
         (
             e.name,
@@ -252,11 +245,24 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
         for e in errors
     )
     return Section(
-        title="relative torque error, %",
-        table=Table(columns=columns("joint", "unit", numbers=numbers), rows=rows, total=True),
+        title="Torque error by joint, %",
+        table=Table(
+            columns=columns(
+                "joint",
+                "unit",
+                numbers=(
+                    "torque error",
+                    "rows in motion",
+                    "rows at standstill",
+                    "residual autocorrelation (lag 1)",
+                ),
+            ),
+            rows=rows,
+            total=True,
+        ),
         # a line above has all joints
         short=Section(
-            lines=(f"torque error by joint: {', '.join(each)}",) if len(each) > 1 else ()
+            lines=(f"Torque error in motion by joint: {', '.join(each)}",) if len(each) > 1 else ()
         ),
     )
 
@@ -303,7 +309,7 @@ def gain_sections(fit: FitFile) -> list[Section]:
     """
     if not fit.gains:
         return []
-    heads = columns("motor", numbers=("described", "identified", "±95%", "in %"))
+    heads = columns("motor", numbers=("given", "identified", "95 % half-width", "relative %"))
     rows = tuple(
         (
             one.motor,
@@ -314,20 +320,21 @@ def gain_sections(fit: FitFile) -> list[Section]:
                 100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
             ),
             one.unit,
-            "" if one.determined else "not determined",
+            "" if one.determined else "not well determined",
         )
         for one in fit.gains
     )
     values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
     return [
         Section(
-            title="drive gains",
+            title="Drive gains",
             table=Table(columns=heads + columns("unit", ""), rows=rows),
             lines=(
-                f"smallest Cragg-Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}: how well "
-                "the payload separates gains and arm",
+                f"Smallest Cragg–Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}, which "
+                f"shows how "
+                "well the payload separates gains and arm",
             ),
-            short=Section(lines=(f"drive gains: {', '.join(values)}",)),
+            short=Section(lines=(f"Drive gains: {', '.join(values)}",)),
         )
     ]
 
@@ -338,7 +345,7 @@ def payload_sections(fit: FitFile) -> list[Section]:
 
 
 def _payload_section(one: PayloadOfFit, joint: str) -> Section:
-    (*inertias, x, y, z, mass), title = one.parameters, f"payload of {one.recording}"
+    (*inertias, x, y, z, mass), title = one.parameters, f"Payload of {one.recording}"
     m, width, weighed = mass.value, mass.half_width or 0.0, "mass" in one.given
     centre = zip(("centre of mass x", "y", "z"), (x, y, z), strict=True)
     rows = (
@@ -366,17 +373,19 @@ def _payload_section(one: PayloadOfFit, joint: str) -> Section:
     short = f"{title}: mass {m:.4g} kg"
     if mass.from_prior and not weighed:
         short = (
-            f"{title}: it has no scale, as nothing tells it from the arm: record without it too, "
-            "or state its mass"
+            f"{title}: it has no scale, because it cannot be separated from the arm. Record "
+            f"without "
+            "it too, or give its mass"
         )
     return Section(
         title=title,
         table=Table(
-            columns=columns("", numbers=("value", "±95%")) + columns("unit", "mostly from"),
+            columns=columns("", numbers=("value", "95 % half-width"))
+            + columns("unit", "mostly from"),
             rows=rows,
         ),
         lines=(
-            f"stated: {one.described}; values in the frame of {joint}, inertia about its origin",
+            f"Given: {one.described}; values in the frame of {joint}, inertia about its origin",
         ),
         short=Section(lines=(short,)),
     )
@@ -391,5 +400,5 @@ def _row(
     *,
     known: bool = False,
 ) -> Row:
-    source = "stated" if known else "prior" if of.from_prior else "recording"
+    source = "given" if known else "a priori" if of.from_prior else "recording"
     return name, Number(value, ".4g"), Number(half, ".2g"), unit or of.unit, source

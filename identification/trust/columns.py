@@ -86,37 +86,36 @@ def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
 
 
 ADDED_COLUMNS = Words(
-    test="added columns",
+    test="missing terms",
     place=160,
     by=added_columns_test,
-    wrong="a term is missing or wrong: friction, offset, a rotor, a spring, tilt of "
-    "gravity, the zero or the ratio of a joint, a lag of one joint, clocks that run apart, "
-    "drifts, hysteresis, a limit of the effort, a brake that drags for a time",
-    advice="describe it (`friction`, `offset`, `gravity_m_s2`), record it "
-    "([`known_torque`](../../acquisition/docs/import.md#maptoml)), remove its cause",
-    detects="A term that the model lacks: asymmetric friction, friction by the root of "
-    "speed or by load, offset, drift, a spring, one that is not linear, a limit of the "
-    "effort, Stribeck friction, a denied rotor, tilt of gravity, the zero of a joint, gain, "
-    "ratio or lag of one joint against the others, a lag that grows because positions and "
-    "efforts have two clocks, a torque constant or friction that drifts, hysteresis (Dahl), "
-    "friction of a sixth of the time. Lags and clocks are tested in fast rows only. What "
-    "explains as much at the same joint is named too: a wrong ratio looks like a rotor",
-    limit="`caution`: t is above 5, and the term takes over 2 % of the squared residual (a "
-    "spring 10 % where gravity acts on no link, friction of a part of the time 10 %; a lag "
-    "instead moves an essential parameter by over one half-width, clocks do one or the "
-    "other)",
+    advice="Describe it (`friction`, `offset`, `gravity_m_s2`), record it "
+    "([`known_torque`](../../acquisition/docs/import.md)), or remove its cause.",
+    detects="A term that the model lacks (added-variable test): friction (asymmetric, square-root, "
+    "load-dependent, Stribeck), offset, drift, a linear or nonlinear spring, a limit of the "
+    "effort, a "
+    "disabled rotor inertia, base tilt, a joint zero offset, gain, ratio or delay of one joint "
+    "against the others, clock drift between positions and efforts, a drifting torque constant or "
+    "friction, hysteresis (Dahl), friction of a sixth of the time. Delays and clocks are tested in "
+    "fast rows only. A term that explains as much at the same joint is named too: a wrong ratio "
+    "resembles a rotor inertia",
+    limit="`caution`: t is above 5, and the term explains more than 2 % of the residual variance "
+    "(10 % "
+    "for a spring where gravity acts on no link, and for friction of a part of the time). A delay "
+    "counts if it changes an essential parameter by more than one half-width, clock drift by "
+    "either",
     cases={
-        "every term": Case("not made", "not made: the model has every term that is tried"),
-        "missing": Case("caution", "{strongest}{more}", "{each}", "{finding}"),
+        "every term": Case("skipped", "the model has every term that is tried"),
+        "missing": Case("caution", "{strongest}{more}", "{each}.", "{finding}"),
         "ok": Case(
             "ok", "no missing term found ({tried} tried; strongest: {strongest}){lone}{units}"
         ),
     },
     parts={
-        "strongest": "{coefficient}, t = {t:.1f}, {taken:.1f} % of the residual",
+        "strongest": "{coefficient}, explains {taken:.1f} % of the residual variance, t = {t:.1f}",
         "more": "; {others} more with t above {limit:g}",
         "lone": "; one joint has no relative gain",
-        "units": "; relative gains not tried: the drive gains are not known",
+        "units": "; relative gains not tried, because the drive gains are not known",
     },
 )
 

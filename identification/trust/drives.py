@@ -43,7 +43,7 @@ def _line_of_lag(evidence: TrustInputs, lag: Lag) -> TrustResult | None:
     delay, delay_half = (fs * x for x in lag.delay_s or (0.0, 0.0))
     lost, exogenous = lag.found is None, all(x.signals.q_ref is not None for x in evidence.problems)
     unseen = assume(
-        "lag",
+        "delay",
         lag=f"{value_ms:.2g} ± {sd_ms:.2g} ms",
         cost=LAG.part("cost", moved=moved, name=name),
         stated=False,
@@ -61,7 +61,7 @@ def _line_of_lag(evidence: TrustInputs, lag: Lag) -> TrustResult | None:
             "ok": True,
         },
         value=late,
-        figures=figures_of(["lag"], [late], [half], [prior.value_s * fs]),
+        figures=figures_of(["delay"], [late], [half], [prior.value_s * fs]),
         assumed=(unseen,) * (lost and not lag.stated and not exogenous),
         value_s=lag.value_s,
         found=found,
@@ -88,58 +88,56 @@ def _line_of_lag(evidence: TrustInputs, lag: Lag) -> TrustResult | None:
 
 
 LAG = Words(
-    test="lag",
+    test="delay",
     place=150,
     by=lag_test,
     of_data=True,
-    wrong="the delay of the torque cannot be estimated, or contradicts what is stated; "
-    "without a reference it is assumed",
-    advice="state `effort_timing`, take `--method iv`, or record longer moves",
-    detects="How late the recorded torque is against the motion; [found, corrected and "
-    "counted](method.md#delay-of-the-torque)",
-    limit="`caution`: the recorded reference does not show it, and its uncertainty moves an "
-    "essential parameter by over one half-width; a torque is before its command; or the "
-    "data contradict a `torque_lag_s` at t > 4. `cannot tell`: without a reference it is "
+    advice="Set `effort_timing`, use `--method iv`, or record longer moves.",
+    detects="The delay of the recorded torque after the motion. The fit [estimates and corrects "
+    "it](method.md#delay-of-the-torque), and the intervals include it",
+    limit="`caution`: the recorded reference does not show it, and its uncertainty changes an "
+    "essential parameter by more than one half-width; a torque comes before its command; or the "
+    "data differ from a given `torque_lag_s` at t > 4. `inconclusive`: without a reference it is "
     "assumed, and the intervals include it",
     cases={
         "contradicted": Case(
             "caution",
-            "{stated}; the data give {found:.4g} ± {found_half:.2g} s",
-            "leave torque_lag_s out",
+            "{stated}, but the data show {found:.4g} ± {found_half:.2g} s",
+            "Remove torque_lag_s.",
         ),
         "stated": Case("ok", "{stated}"),
         "harmless": Case("ok", "{known}"),
         "not shown": Case(
             "caution",
-            "{known}",
-            "state effort_timing, or record longer moves: joints reverse too often for "
-            "their rows to show it",
+            "{known}. Joints reverse too often for their rows to show it",
+            "Set effort_timing, or record longer moves.",
         ),
         "not measured": Case(
-            "caution", "{known}", "state effort_timing, or take --method iv, which measures it"
+            "caution", "{known}", "Set effort_timing, or use --method iv, which estimates it."
         ),
         "assumed": Case(
-            "cannot tell",
-            "{known}: no reference is recorded that would show it; state effort_timing",
+            "inconclusive",
+            "{known}. Without a recorded reference it cannot be estimated",
+            "Set effort_timing.",
         ),
         "impossible": Case(
             "caution",
             "{late}, which is impossible",
-            "check sample_rate_hz of [controller], time stamps, and whether the effort is "
-            "recorded behind a filter",
+            "Check sample_rate_hz of [controller], timestamps, and whether the effort is recorded "
+            "after a filter.",
         ),
         "ok": Case("ok", "{late}"),
     },
     parts={
-        "stated": "{value_s:.4g} s, as torque_lag_s states",
+        "stated": "{value_s:.4g} s, as given by torque_lag_s",
         "cost": "±{moved:.2g} half-widths at {name}, included in the intervals",
         "unknown": "not known, {value_ms:g} ± {sd_ms:g} ms",
         "by_source": "{value_ms:.2g} ± {sd_ms:.2g} ms by {source}",
         "known": "{unknown}{by_source}: {cost}",
-        "rejected": "; {source} gives {prior:.2f}, which contradicts it and is not used",
+        "rejected": "; {source} gives {prior:.2f}, which differs significantly and is not used",
         "delayed": "; it acts {delay:.2f} ± {delay_half:.2f} samples after the command",
-        "whitened": "; whitened over {order} rows, not {usual}, as joints reverse often",
-        "late": "torque {size:.2f} ± {half:.2f} samples {way}: corrected, included in the "
+        "whitened": "; whitened over {order} rows, not {usual}, because joints reverse often",
+        "late": "torque {size:.2f} ± {half:.2f} samples {way}, corrected and included in the "
         "intervals{rejected}{delayed}{whitened}",
     },
     unit="samples",
@@ -175,10 +173,7 @@ def control_law_line(
     )
     if len(names) == 1:
         return worst
-    reason = worst.text.removeprefix("not made: ")
-    return structs.replace(
-        worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}"
-    )
+    return structs.replace(worst, text=f"{name}: {worst.text}")
 
 
 def law_line(problem: Problem, law: FoundLaw | None) -> TrustResult | None:
@@ -249,53 +244,52 @@ LAW = Words(
     test="control law",
     place=120,
     of_data=True,
-    wrong="the law found from reference, position and effort is not the described one",
-    advice="check rated value, ratio, sample rate, `[controller]`; a structure that fits "
-    "better is named",
-    detects="Kp, Kd, Ki found by least squares from reference, position and effort, with "
-    "their intervals, against those described. The delay of the reference is estimated "
-    "beside them and not judged; the drive gain is on both sides and is not tested. Without "
-    "a described law one is reported where at most 2 % of the effort is left at every "
-    "motor, Kp and Kd are positive, and every structure that does not contain it leaves 1.5 "
-    "times as much at some motor; the simulated robot then has it",
-    limit="`do not use`: all are negative with 2 % of the effort left. `caution`: a gain is "
-    "off by 1 % beyond its interval, another structure fits better, or 5 % of the effort is "
+    advice="Check rated value, ratio, sample rate and `[controller]`.",
+    detects="A difference between given gains and the Kp, Kd, Ki that least squares estimates from "
+    "reference, position and effort, with their intervals. The delay of the reference is estimated "
+    "too, but not judged; the drive gain is on both sides and is not tested. Without a given "
+    "control "
+    "law the estimated one is reported, and the simulated robot uses it, if at most 2 % of the "
+    "effort remains at every motor, Kp and Kd are positive, and every structure that does not "
+    "contain it leaves 1.5 times as much at some motor",
+    limit="`do not use`: all gains are negative with 2 % of the effort left. `caution`: a gain "
+    "differs by 1 % more than its interval, another structure fits better, or 5 % of the effort is "
     "left",
     cases={
-        "no reference": Case("not made", "not made: the recording has no reference"),
-        "computed torque": Case(
-            "not made", "not made: computed torque depends on the robot's own model"
-        ),
-        "short": Case("not made", "not made: the recording is too short"),
+        "no reference": Case("skipped", "the recording has no reference"),
+        "computed torque": Case("skipped", "computed torque depends on the robot's own model"),
+        "short": Case("skipped", "the recording is too short"),
         "none found": Case(
-            "not made",
-            "not made: [controller] describes no law, and none is found in the recording: {reason}",
+            "skipped",
+            "[controller] gives no control law, and none can be estimated from the recording: "
+            "{reason}",
         ),
         "found": Case(
             "ok",
-            "{structure} found, {gains} of motor {motor}, {left:.2g} % left; {late}{unclear}",
+            "{structure} estimated, {gains} of motor {motor}, {left:.2g} % left; {late}{unclear}",
         ),
         "another": Case(
             "caution",
-            "{reason}, {left:.2g} % left: a feed-forward that is not recorded, or another law?",
+            "{reason}, {left:.2g} % left, as with a feedforward that is not recorded",
+            "Record the feedforward, or check the structure of [controller].",
         ),
-        "sign": Case("do not use", "{law}", "check the sign of its effort"),
+        "sign": Case("do not use", "{law}", "Check the sign of its effort."),
         "rival": Case(
             "caution",
-            "{law}: {rival} fits better than {structure}",
-            "check structure and gains of [controller]",
+            "{law}. {rival} fits better than {structure}",
+            "Check structure and gains of [controller].",
             "{rival} for {structure}",
         ),
         "scale": Case(
             "caution",
-            "{law}: the effort is {value:.3g} x the law's",
-            "check rated value, ratio and drive_gain",
+            "{law}. The effort is {value:.3g} times that of the control law",
+            "Check rated value, ratio and drive_gain.",
         ),
         "off": Case(
             "caution",
             "{law}",
-            "check structure, gains and sample rate of [controller], and whether the effort "
-            "is recorded behind a filter",
+            "Check structure, gains and sample rate of [controller], and whether the effort is "
+            "recorded after a filter.",
         ),
         "ok": Case("ok", "{law}"),
     },
@@ -303,7 +297,7 @@ LAW = Words(
         "late": "reference {delay_ms:.3g} ms late",
         "unclear": "; {alone} alone do not show it",
         "law": "motor {motor}: {gains}; {left:.2g} % left; {late}",
-        "fed": "{text}; gravity that is fed forward is fitted and subtracted",
+        "fed": "{text}; gravity fed forward is fitted and subtracted",
     },
 )
 
@@ -324,7 +318,7 @@ def saturation_test(evidence: TrustInputs) -> TrustResult | None:
 
     It runs only where the controller or the simulated robot is not confirmed.
     """
-    lines = filter(None, map(evidence.made.get, ("fixed point", LAW.test)))
+    lines = filter(None, map(evidence.made.get, ("convergence", LAW.test)))
     if all(line.level not in LEVELS[:2] for line in lines):
         return None
     limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
@@ -341,16 +335,14 @@ SATURATION = Words(
     place=20,
     by=saturation_test,
     of_data=True,
-    wrong="a drive saturates at a limit that is not described, so the simulated robot does not",
-    advice="state `saturation` of the motor",
-    detects="Only printed if the law or the simulated robot is not confirmed and drives "
-    "saturate at a limit that is not stated: over 1 % of their efforts are within 2 to 8 % "
-    "of their largest, and three times as many as in each of the next two ranges as wide",
-    limit="`do not use`: there is no fixed point. `caution`: there is one",
+    advice="Set `saturation` of the motor.",
+    detects="Drives that saturate at a limit that is not given, if control law or simulated robot "
+    "are not confirmed: more than 1 % of their efforts are within 2 to 8 % of the largest, and "
+    "three "
+    "times as many as in each of the next two ranges of this width",
+    limit="`do not use`: the iterations do not converge. `caution`: they do. Not printed otherwise",
     cases={
-        "no fixed point": Case(
-            "do not use", "{limits}", "state saturation of the motor", "{first}"
-        ),
-        "not confirmed": Case("caution", "{limits}", "state saturation of the motor", "{first}"),
+        "no fixed point": Case("do not use", "{limits}", "Set saturation of the motor.", "{first}"),
+        "not confirmed": Case("caution", "{limits}", "Set saturation of the motor.", "{first}"),
     },
 )

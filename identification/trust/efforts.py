@@ -59,26 +59,24 @@ SIGNS = Words(
     place=10,
     by=signs_and_order_test,
     of_data=True,
-    wrong="two efforts are exchanged, or an effort or a position has the wrong sign; with "
-    "the torque error once that is undone",
-    advice="correct columns and signs in `map.toml`, import again",
-    detects="Only printed if efforts of two motors or joints are exchanged, or an effort or "
-    "a position of a motor has the wrong sign. Where a joint's torque error is over 5 %, or "
-    "a motor takes power from the robot over the recording, each such mistake is undone and "
-    "least squares solved again",
-    limit="`do not use`: a mistake undone leaves half of the torque error at most; of a "
-    "sign of a motor that takes power, 95 %",
+    advice="Correct columns and signs in `map.toml`, and import again.",
+    detects="Swapped efforts of two motors or joints, and wrong signs of efforts or positions. If "
+    "a "
+    "joint's torque error is more than 5 %, or a motor absorbs power over the recording, each such "
+    "mistake is undone and least squares is solved again",
+    limit="`do not use`: undoing a mistake leaves at most half of the torque error (95 % for the "
+    "sign of a motor that absorbs power). Not printed otherwise",
     cases={
         "mistake": Case(
             "do not use",
-            "{mistake}: undone, the torque errors of joints are {undone:.2g} % (rms) in "
-            "place of {error:.2g} %",
-            "check columns and signs of the recording",
+            "{mistake}: if this is undone, the torque errors of the joints fall from {error:.2g} % "
+            "to {undone:.2g} % (rms)",
+            "Check columns and signs of the recording.",
             "{mistake}",
         )
     },
     parts={
-        "exchanged": "the efforts of {one} and {other} are exchanged",
+        "exchanged": "the efforts of {one} and {other} are swapped",
         "effort": "the effort of {one} has the wrong sign",
         "position": "the position of {one} has the wrong sign",
     },
@@ -210,12 +208,18 @@ POSITIONS = Words(
     place=30,
     by=positions_test,
     of_data=True,
-    wrong="joints move within a 57th of their limits",
-    advice="check whether positions are radians, declared as degrees",
-    detects="Only printed if positions look like radians that were declared as degrees",
-    limit="`caution`: revolute joints move within a 57th of their limits, one of them over "
-    "a tenth of its range if its radians were degrees",
-    cases={"radians": Case("caution", "{text}", finding="radians declared as degrees?")},
+    advice="Check whether the positions are radians that were declared as degrees.",
+    detects="Positions that look like radians declared as degrees",
+    limit="`caution`: revolute joints move within 1/57 of their limits, and one of them over a "
+    "tenth of its range if its radians were degrees. Not printed otherwise",
+    cases={
+        "radians": Case(
+            "caution",
+            "{text}",
+            "Check the unit of the positions in map.toml.",
+            "radians declared as degrees?",
+        )
+    },
 )
 
 
@@ -230,19 +234,17 @@ EFFORT = Words(
     place=230,
     by=effort_test,
     of_data=True,
-    wrong="a recorded effort is a fifth or more beyond `effort_nm`, `effort_n`, the URDF's "
-    "`effort` or `saturation`",
-    advice="check drive gain, ratio and unit; correct the limit",
-    detects="Only printed if a recorded effort is beyond its limit (`effort_nm`, "
-    "`effort_n`, the URDF's `effort`, `saturation`). Rated values, which drives exceed for "
-    "seconds, and the range of the recorded object are no limits. Not made with `--gains`",
-    limit="`caution`: 20 % or more beyond it",
+    advice="Check drive gain, ratio and unit, or correct the limit.",
+    detects="Recorded efforts above their limit (`effort_nm`, `effort_n`, the URDF's `effort`, "
+    "`saturation`). Rated values, which drives exceed for seconds, and the range of the recorded "
+    "object are not limits. Skipped with `--gains`",
+    limit="`caution`: at least 20 % above it. Not printed otherwise",
     cases={
         "beyond": Case(
             "caution",
             "{overloads}",
-            "check drive_gain, ratio and unit of the effort, or correct the limit",
-            "effort beyond its limit",
+            "Check drive_gain, ratio and unit of the effort, or correct the limit.",
+            "effort above its limit",
         )
     },
 )

@@ -24,7 +24,7 @@ from .candidates import Candidates
 
 BY_PRIOR = "held-out blocks by the prior"
 # worst first
-LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "inconclusive", "skipped", "ok")
 # name, value, half-width of the 95 % interval, expected value
 Figure = tuple[str, float, float, float]
 
@@ -68,7 +68,7 @@ class TrustInputs:
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
         made: lines of tests that were made with the solution and with its predictions, by test:
-            `fixed point`, `control law`, `position noise`, `held-out blocks`; and `BY_PRIOR`, the
+            `convergence`, `control law`, `noise bias`, `cross-validation`; and `BY_PRIOR`, the
             same of the prior's links with all else fitted to the other blocks, or recordings.
         first_stage_F: how strong the instruments are; None for least squares.
     """
@@ -120,7 +120,7 @@ class TrustInputs:
     @cached_property
     def ending(self) -> str:
         """How the method ended, as a case of the test of convergence."""
-        return "" if (line := self.made.get("fixed point")) is None else line.case
+        return "" if (line := self.made.get("convergence")) is None else line.case
 
     @cached_property
     def gains(self) -> tuple[str, ...]:
@@ -230,8 +230,7 @@ class Words:
         by: the function that returns the result, None where the test does not apply. Without it,
             the result is made with the solution or with its predictions.
         of_data: True if it tests the recording, not the estimate: the guides begin with these.
-        wrong, advice: for the guide, what is wrong where it fails, and what to do.
-        detects, limit: the same in full, for the page on reading a fit.
+        detects, limit, advice: for the guide, what it detects, its limits, and what to do.
         cases: its outcomes, by name.
         parts: parts of the texts of its cases.
         unit: the unit of its figures by joint, motor or block.
@@ -241,7 +240,6 @@ class Words:
     place: int
     by: Callable[[TrustInputs], TrustResult | None] | None = None
     of_data: bool = False
-    wrong: str
     advice: str
     detects: str
     limit: str
@@ -277,7 +275,8 @@ class Words:
         return TrustResult(
             test=self.test,
             level=case.level,
-            text=": ".join(filter(None, (text, advice))),
+            text=text,
+            advice=advice,
             value=value,
             finding=finding,
             figures=figures,
@@ -320,10 +319,11 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
         "{scales}{taken_off}{both}{always}",
         {
             "scales": "drive gains and all parameters scale with its mass",
-            "exact": ", as if it were exact: no half-width of its mass is stated",
-            "taken_off": "it is taken off the arm{exact}",
+            "exact": ", as if it were exact, because its mass has no half-width",
+            "taken_off": "it is subtracted from the arm{exact}",
             "both": "; ",
-            "always": "no recording is without payload: the parameters include what is not stated "
+            "always": "no recording is without payload, so the parameters include what is not "
+            "given "
             "of the lightest",
         },
     ),
@@ -337,11 +337,12 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
     ),
     "efforts": Assumption(
         "the whole torque of each motor",
-        "what a drive adds behind the recorded effort, such as friction or gravity, cannot be seen",
+        "a torque that a drive adds after the recorded effort, such as friction or gravity, cannot "
+        "be seen",
     ),
-    "own parameters": Assumption(
+    "per-recording parameters": Assumption(
         "their mean elsewhere",
-        "other recordings are validated with the mean of those of these",
+        "other recordings are validated with the mean over these recordings",
     ),
     "ratios": Assumption("{ratios}", "joint positions and torques are computed with them"),
     "lengths": Assumption("{lengths}", "link parameters absorb an error of a length"),
@@ -349,28 +350,29 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
     "control law": Assumption(
         "{law}{default}", "{reason}", {"default": "a {bandwidth_hz:g} Hz PD"}
     ),
-    "lag": Assumption(
+    "delay": Assumption(
         "{lag}",
         "{stated}{unseen}",
         {
-            "stated": "stated by torque_lag_s",
-            "unseen": "no reference is recorded that would show it: {cost}",
+            "stated": "given by torque_lag_s",
+            "unseen": "without a recorded reference it cannot be estimated: {cost}",
         },
     ),
     "filters": Assumption(
         "{duration_s:.0f} s of motion",
         "intervals include noise only; filters distort a parameter by about 0.1 %, which is as "
-        "much here",
+        "much "
+        "here",
     ),
     "encoder noise": Assumption(
         "the same spectrum below and above the low-pass",
-        "position noise biases least squares; only the noise above the low-pass is tested",
+        "position noise biases least squares, and only the noise above the low-pass is tested",
     ),
     "zeros": Assumption(
-        "right at {joints}", "a wrong zero turns the links' parameters; not noticed: {each}"
+        "right at {joints}", "a wrong zero changes the links' parameters; not noticed: {each}"
     ),
     "rotors": Assumption(
         "none at {joints} (rotor_inertia = false)",
-        "the links' parameters take a rotor; not noticed: {each}",
+        "the links' parameters absorb a rotor inertia; not noticed: {each}",
     ),
 }

@@ -63,55 +63,54 @@ def gains_test(evidence: TrustInputs) -> TrustResult | None:
 
 
 GAINS = Words(
-    test="gains",
+    test="drive gains",
     place=40,
     by=gains_test,
     of_data=True,
-    wrong="identified drive gains are negative, not determined, or off by one common factor",
-    advice="check which recording has the payload, and its mass",
-    detects="With `--gains` only: whether the drive gains are positive and determined, and "
-    "not all off by one factor",
-    limit="`do not use`: a drive gain is negative, or the best one is known to no better "
-    "than 50 %. `caution`: none is known to 10 %, or all differ from the described ones by "
-    "one common factor of over 10 %",
+    advice="Check which recording has the payload, and its mass.",
+    detects="With `--gains` only: drive gains that are negative, not well determined, or all wrong "
+    "by one factor",
+    limit="`do not use`: a drive gain is negative, or no half-width is below 50 %. `caution`: no "
+    "half-width is below 10 %, or all gains differ from the given ones by one factor of more than "
+    "10 %",
     cases={
         "all negative": Case(
             "do not use",
-            "all drive gains are negative: the recordings are exchanged, the payload "
-            "belongs to another",
-            finding="recordings exchanged",
+            "all drive gains are negative, so the payload belongs to another recording",
+            "Swap the payloads of the recordings.",
+            "recordings swapped",
         ),
         "negative": Case(
             "do not use",
-            "{wrong}: its drive gain is negative, others are positive",
-            "check the sign of its effort and of its position",
+            "{wrong}: its drive gain is negative, the others are positive",
+            "Check the sign of its effort and of its position.",
             "{wrong}",
         ),
         "none usable": Case(
             "do not use",
             "no drive gain is usable ({unsure})",
-            "check which recording has the payload",
-            "drive gains not determined",
+            "Check which recording has the payload.",
+            "drive gains not well determined",
         ),
         "none determined": Case(
             "caution",
             "no drive gain is known to {limit:g} % ({unsure})",
-            "use a heavier payload",
-            "drive gains not determined",
+            "Use a heavier payload.",
+            "drive gains not well determined",
         ),
         "one factor": Case(
             "caution",
-            "drive gains are {factor:.3g} times those described (median), which scatter by "
+            "the drive gains are {factor:.3g} times the given ones (median), which scatter by "
             "{scatter:.2g} %",
-            "check the payload's mass, or peak against rms",
-            "drive gains off by one factor",
+            "Check the payload's mass, and whether catalogue values are peak or rms.",
+            "drive gains wrong by one factor",
         ),
         "ok": Case("ok", "known to {least:.2g} to {value:.2g} %{some_unsure}{torques}"),
     },
     parts={
         "wrong": "wrong sign of {negative}",
-        "some_unsure": "; not determined: {unsure}",
-        "torques": "; all are 1 N m per unit: the recorded effort is a torque already",
+        "some_unsure": "; not well determined: {unsure}",
+        "torques": "; all are 1 N m per unit, so the recorded effort is already a torque",
     },
     unit="N m per unit of effort",
 )
@@ -166,23 +165,23 @@ CENTRE_OF_MASS = Words(
     place=50,
     by=centre_of_mass_test,
     of_data=True,
-    wrong="the data contradict the stated centre of mass of a payload",
-    advice="measure it again, or state a larger `center_half_width_m`",
-    detects="Only printed for a payload whose centre of mass is stated: how far the centre "
-    "by the recordings alone is from it",
-    limit="`caution`: beyond the 95 % region of the statement and the data together "
-    "(Hotelling's F); the statement is then not used",
+    advice="Measure it again, or give a larger `center_half_width_m`.",
+    detects="With a given centre of mass only: its distance from the centre of mass that the "
+    "recordings alone show",
+    limit="`caution`: outside the 95 % region of the given value and the data together "
+    "(Hotelling's "
+    "F). The given value is then not used",
     cases={
         "differs": Case(
             "caution",
-            "{distance}, beyond its ± {stated:g} mm, and not used",
-            "check centre, frame and mass",
+            "{distance}, outside its ± {stated:g} mm, so the given one is not used",
+            "Check centre, frame and mass of the payload.",
             "centre of mass differs",
         ),
         "ok": Case("ok", "{distance}"),
     },
     parts={
-        "distance": "centre of mass by the data {value:.2g} ± {half:.2g} mm from the stated one"
+        "distance": "the estimated centre of mass is {value:.2g} ± {half:.2g} mm from the given one"
     },
     unit="mm",
 )

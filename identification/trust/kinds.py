@@ -27,7 +27,7 @@ STRIBECK_SPEED_RATIO = 0.2
 STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spring"
 CURVED = "spring that is not linear"
 LIMITED = 0.7  # of a joint's largest torque
-TILT, LAG, ROTOR, ZERO, CLOCKS = "tilt of gravity", "lag", "rotor", "zero", "clock drift"
+TILT, LAG, ROTOR, ZERO, CLOCKS = "base tilt", "delay", "rotor", "zero", "clock drift"
 RATIO, HYSTERESIS, IN_PARTS = "ratio", "hysteresis", "friction of a part of the time"
 PARTS = 6  # of the time
 POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
@@ -35,7 +35,7 @@ POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
 IN_FAST_ROWS = (LAG, CLOCKS)
 # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
 SAMPLES_A_ROW = 4
-SELECT_TERMS = "run `robot-identify friction`"
+SELECT_TERMS = "Run `robot-identify friction`"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,7 +234,7 @@ KINDS = (
         name=ASYMMETRIC,
         torque=lambda of, x, *_: of.friction("Fc") + of.friction("Fv") * np.abs(x.dq),
         unit="% of it",
-        advice='describe it as friction = "asymmetric", which includes an offset',
+        advice='Describe it as friction = "asymmetric", which includes an offset',
         listed=True,
         friction="asymmetric",
         lacks=lambda of, k: (
@@ -246,7 +246,7 @@ KINDS = (
         name="offset",
         torque=lambda of, x, *_: np.ones_like(x.q),
         unit="{effort}",
-        advice="describe it as offset = true",
+        advice="Describe it as offset = true",
         listed=True,
         friction="offset",
     ),
@@ -254,14 +254,14 @@ KINDS = (
         name="drift",
         torque=lambda of, x, *_: ((x.t_s - of.span_s[0]) / np.ptp(of.span_s))[:, None] + 0 * x.q,
         unit="{effort} over the recording",
-        advice="warm the robot up, or record a shorter motion",
+        advice="Warm the robot up, or record a shorter motion",
         missing="",
     ),
     Kind(
         name=SPRING,
         torque=lambda of, x, *_: x.q,
         unit="{effort}/{position}",
-        advice="record its torque (of a spring, a hose or a weight) as known_torque",
+        advice="Record its torque (of a spring, a hose or a weight) as known_torque",
         least_percent=_of_springs,
     ),
     Kind(
@@ -271,14 +271,14 @@ KINDS = (
             * (off / np.maximum(np.ptp(of.problem.poses, axis=0), 1e-9)) ** 2
         ),
         unit="{effort}/{position}",
-        advice="record its torque (of a spring, a hose or a stop) as known_torque",
+        advice="Record its torque (of a spring, a hose or a stop) as known_torque",
         least_percent=_of_springs,
     ),
     Kind(
         name="limit of the effort",
         torque=lambda of, x, *_: np.sign(x.tau) * np.maximum(np.abs(x.tau) - LIMITED * of.most, 0),
         unit="of what is beyond 70 % of its peak",
-        advice="state saturation of the motor, or record the effort behind its limit",
+        advice="Set saturation of the motor, or record the effort behind its limit",
         missing="",
     ),
     Kind(
@@ -288,7 +288,7 @@ KINDS = (
             * np.exp(-((x.dq / (STRIBECK_SPEED_RATIO * np.maximum(of.peak, 1e-300))) ** 2))
         ),
         unit="{effort}",
-        advice="leave out slow samples by a larger low_speed_percent of [identification]",
+        advice="Leave out slow samples by a larger low_speed_percent of [identification]",
         friction="stribeck",
     ),
     Kind(
@@ -297,7 +297,7 @@ KINDS = (
             links[..., 1 + k] * (np.pi / 180 if of.robot.joints[k].type == "revolute" else 1e-3)
         ),
         unit="{zero}",
-        advice="check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
+        advice="Check the zero of its position (home offset 607Ch, zero_deg or zero_m)",
         everywhere=True,
         missing="",
     ),
@@ -305,11 +305,11 @@ KINDS = (
         name=ROTOR,
         torque=lambda of, x, *_: x.ddq,
         unit="{inertia}",
-        advice="rotor_inertia = true",
+        advice="Set rotor_inertia = true",
         lacks=lambda of, k: not of.robot.joints[k].rotor_inertia,
     ),
     Kind(
-        name="load friction",
+        name="load-dependent friction",
         torque=lambda of, x, links, _: np.abs(links[..., 0]) * np.sign(x.dq),
         unit="",
         advice=SELECT_TERMS,
@@ -322,13 +322,13 @@ KINDS = (
             lambda q, *_: of.links.gravity(q, _turned(of, k)), x, stride_of(x)
         ),
         unit="rad",
-        advice="level the base, or set gravity_m_s2",
+        advice="Level the base, or set gravity_m_s2",
         everywhere=True,
         lacks=lambda of, k: bool(_turned(of, k).any()),
         missing="",
     ),
     Kind(
-        name="root friction",
+        name="square-root friction",
         at=_directions,
         torque=_root,
         unit="{effort} ({position}/s)^-½",
@@ -341,7 +341,7 @@ KINDS = (
         at=lambda of: [("between positions and efforts", 0)],
         torque=lambda of, x, *_: -0.01 * (x.t_s - of.span_s.mean())[:, None] * x.rate(x.tau),
         unit="%",
-        advice="stamp positions and efforts by one clock",
+        advice="Timestamp positions and efforts by one clock",
         everywhere=True,
         missing="",
     ),
@@ -349,7 +349,7 @@ KINDS = (
         name=LAG,
         torque=lambda of, x, *_: -1e-3 * x.rate(x.tau),
         unit="ms",
-        advice="check how its effort is filtered and stamped",
+        advice="Check how its effort is filtered and timestamped",
         lacks=lambda of, k: of.simulated and len(of.peak) > 1,
         missing="",
     ),
@@ -357,7 +357,7 @@ KINDS = (
         name=RATIO,
         torque=_with_ratio,
         unit="%",
-        advice="check its ratio",
+        advice="Check its ratio",
         everywhere=True,
         lacks=lambda of, k: of.robot.n > 1,
         missing=" off",
@@ -367,7 +367,7 @@ KINDS = (
         of=("",),
         in_time=lambda u, _: 0.01 * u,
         unit="% over the recording",
-        advice="warm the drives up, or record a shorter motion",
+        advice="Warm the drives up, or record a shorter motion",
         missing="",
     ),
     Kind(
@@ -375,7 +375,7 @@ KINDS = (
         of=("Fv", "Fc"),
         in_time=lambda u, _: 0.01 * u,
         unit="% over the recording",
-        advice="warm the robot up, or record a shorter motion",
+        advice="Warm the robot up, or record a shorter motion",
         missing="",
     ),
     Kind(
@@ -383,7 +383,7 @@ KINDS = (
         at=lambda of: [place for place in Kind.at(of) for _ in TRAVELS],
         torque=_hysteresis,
         unit="{effort}",
-        advice="look for a hose or a cable that follows the joint with friction of its own",
+        advice="Look for a hose or a cable that follows the joint with friction of its own",
         parts=len(TRAVELS),
         missing="",
     ),
@@ -393,7 +393,7 @@ KINDS = (
         of=("Fc",),
         in_time=lambda u, k: 0.01 * (np.floor(PARTS * (u + 0.5)) == k % PARTS),
         unit="% of it",
-        advice="look for a brake or a cable that drags then, or leave that time out",
+        advice="Look for a brake or a cable that drags then, or leave that time out",
         least_percent=lambda _: 10.0,  # of as many tries, some t are large by chance
         lacks=lambda of, k: "coulomb" in of.robot.joints[k // PARTS].terms,
         missing="",
@@ -403,7 +403,7 @@ KINDS = (
         name="relative gain",
         torque=lambda of, x, *_: 0.01 * x.tau,
         unit="%",
-        advice="check its drive_gain and ratio against those of the other joints",
+        advice="Check its drive_gain and ratio against those of the other joints",
         lacks=lambda of, k: (
             of.robot.gain_known and of.robot.identified_gain is None and of.robot.n > 1
         ),

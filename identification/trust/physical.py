@@ -62,55 +62,58 @@ def physical_test(evidence: TrustInputs) -> TrustResult | None:
     if not found:
         return PHYSICAL.judge({"ok": True}, value=lowest)
     found.sort(key=lambda line: LEVELS.index(line.level))
-    return structs.replace(found[0], text="; ".join(line.text for line in found), value=lowest)
+    texts, advice = (
+        [*dict.fromkeys(x)] for x in zip(*((x.text, x.advice) for x in found), strict=True)
+    )
+    return structs.replace(
+        found[0], text="; ".join(texts), advice=" ".join(filter(None, advice)), value=lowest
+    )
 
 
-_SIGN = "check the sign of effort and position of joint {joint}{or_terms}"
+_SIGN = "Check the sign of effort and position of joint {joint}{or_terms}."
 _TERMS = (
-    "check friction, rotor and zero of joint {joint}; its signs fit better than turned{or_terms}"
+    "Check friction, rotor and zero of joint {joint}; its signs fit better than reversed{or_terms}."
 )
 _WRONG = "{joint}: effort or position has the wrong sign"
 
 
 PHYSICAL = Words(
-    test="physical",
+    test="physical plausibility",
     place=70,
     by=physical_test,
-    wrong="the inertia matrix is not positive, friction feeds energy, a rotor inertia is "
-    "negative, or torques lack the robot's weight",
-    advice="check what the line names: a sign only where it may be wrong; what the driver "
-    "publishes as effort, `gravity_m_s2`",
-    detects="Whether M is positive on the trajectory, friction takes energy, and no rotor "
-    "inertia is below zero. Joints that share motors are tested together: the viscous "
-    "matrix, and Coulomb power at its corners (Fc5 + Fcm6, Fc6 + Fcm6, Fc5 + Fc6 of the "
-    "TX40). With further friction terms: the power of each joint alone, and of joints that "
-    "share motors, at some 300 recorded speeds. Also whether a model without gravity fits "
-    "better: the torques then lack the robot's weight",
-    limit="`do not use`: a value is below zero by over two half-widths of the 95 % "
-    "interval, or two of a joint by over one each; or the parameters are far from those of "
-    "a robot (M not positive, or chi² of `consistent` above three times its limit), and a "
-    "witness says why: a negative factor of `prior`, a sign that leaves 95 % of the error "
-    "when turned, or more than 20 % held out. `caution`: M is below zero by less, or "
-    "friction by over 1.4 half-widths; or a model without gravity leaves less than 90 % of "
-    "the residual",
+    advice="Check what the finding names, the driver's definition of effort, and `gravity_m_s2`.",
+    detects="An inertia matrix M that is not positive on the trajectory, and negative friction or "
+    "rotor inertia. Joints that share motors are tested together: the viscous matrix, and Coulomb "
+    "power at its corners (Fc5 + Fcm6, Fc6 + Fcm6, Fc5 + Fc6 of the TX40). With further friction "
+    "terms, the power is tested at some 300 recorded speeds. Also torques that a model without "
+    "gravity fits better: they lack the robot's weight",
+    limit="`do not use`: a value is more than two half-widths below zero, or two of a joint more "
+    "than "
+    "one each; or the parameters are far from a physically consistent model (M not positive, or "
+    "chi² "
+    "above three times its limit) and a second sign confirms this: a negative factor of the a "
+    "priori "
+    "links, a sign whose reversal leaves 95 % of the error, or a held-out error above 20 %. "
+    "`caution`: M is less far below zero, or friction by more than 1.4 half-widths; or a model "
+    "without gravity leaves less than 90 % of the residual",
     cases={
         "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
         "impossible": Case("do not use", "{what}", _TERMS),
         "noise": Case(
-            "caution", "{what}, which may be noise; before simulating run fit --consistent"
+            "caution", "{what}, which may be noise", "Fit with --consistent before simulating."
         ),
         "perhaps wrong sign": Case("caution", "{what}", _SIGN),
         "doubtful": Case("caution", "{what}", _TERMS),
         "no weight": Case(
             "caution",
-            "the torques fit a model without gravity better: residual {without:.3g} % "
-            "against {residual:.3g} %: the efforts lack the robot's weight, are no torques, "
-            "or gravity_m_s2 is wrong",
+            "a model without gravity fits the torques better: residual {without:.3g} % against "
+            "{residual:.3g} %",
+            "Check that the efforts are torques and contain the robot's weight, and gravity_m_s2.",
         ),
         "ok": Case(
             "ok",
-            "M is positive on the trajectory (lowest eigenvalue {value:.3g}), no friction "
-            "or rotor inertia is below zero",
+            "M is positive on the trajectory (lowest eigenvalue {value:.3g}), and no friction or "
+            "rotor inertia is negative",
         ),
     },
     parts={
@@ -118,10 +121,10 @@ PHYSICAL = Words(
         "{lowest:.3g} ± {half:.2g} {effort} against its motion",
         "inertia": "the inertia matrix is not positive on the trajectory (lowest eigenvalue "
         "{least:.3g}; {lowest:.3g} ± {half:.2g} about joint {joint})",
-        "below": "below zero: {each}",
+        "below": "negative: {each}",
         "or_terms": ", or leave terms out",
         "weighted": "by weighted least squares {text}",
-        "far": "{text}; far from a physical robot, and {witness}",
+        "far": "{text}. The parameters are far from a physically consistent model, and {witness}",
     },
 )
 
@@ -317,34 +320,35 @@ def consistent_test(evidence: TrustInputs) -> TrustResult | None:
 
 _APART = Case(
     "caution",
-    "{distance}, above {bound:.3g}, the limit of chance",
-    "check signs and units of efforts and positions, and frames",
+    "{distance}, above the 0.1 % limit of {bound:.3g}",
+    "Check signs and units of efforts and positions, and frames.",
 )
 
 
 CONSISTENT = Words(
-    test="consistent",
+    test="physically consistent",
     place=180,
     by=consistent_test,
-    wrong="the nearest physical robot is further away than noise explains",
-    advice="check signs, units, frames",
-    detects="How far the nearest parameters of a physical robot are: chi² over all "
-    "parameters, and the largest move in half-widths of the 95 % interval; as by "
-    "`--consistent` with its default prior",
+    advice="Check signs, units and frames.",
+    detects="The distance to the nearest physically consistent model: chi² over all parameters, "
+    "and "
+    "the largest change in half-widths of the 95 % interval; as for `--consistent` with its "
+    "default "
+    "prior",
     limit="`caution`: further than noise explains (0.1 % level)",
     cases={
         "unknown gains": Case(
-            "not made",
-            "links cannot be compared: the drive gains are not known",
-            "state drive_gain",
+            "skipped",
+            "links cannot be compared, because the drive gains are not known",
+            "Set drive_gain.",
         ),
-        "none near": Case("cannot tell", "{error}"),
+        "none near": Case("inconclusive", "{error}"),
         "far": _APART,
         "apart": _APART,
         "ok": Case("ok", "{distance}"),
     },
     parts={
-        "distance": "the nearest physical robot is at chi² = {value:.3g} ({count} "
-        "parameters), {name} moved by {moved:.2g} half-widths of its interval"
+        "distance": "the nearest physically consistent model is at chi² = {value:.3g} ({count} "
+        "parameters), {name} changes by {moved:.2g} half-widths of its interval"
     },
 )

@@ -153,42 +153,42 @@ def _line_of(
 
 _OFF = Case(
     "caution",
-    "{error}: the fit does not generalise ({ratio:.2g} times in weighted rows)",
-    "record {more}, with more varied motion, or fit with --essential{consistent}",
+    "{error}. The fit does not generalise ({ratio:.2g} times the fitted error in weighted rows)",
+    "Record {more}, with more varied motion, or fit with --essential{consistent}.",
     "does not generalise",
 )
 
 
 HELD_OUT = Words(
-    test="held-out blocks",
+    test="cross-validation",
     place=170,
-    wrong="parts of the recording are not predicted by the rest",
-    advice="record longer, with more varied motion; `--essential`",
-    detects="Five blocks of time, or each of several recordings, predicted by the fit of "
-    "the others",
-    limit="`caution`: their error is over 1.5 times that of the fit. `do not use`: over 3 "
+    advice="Record longer, with more varied motion, or fit with `--essential`.",
+    detects="Overfitting: five time blocks, or each of several recordings, are predicted by the "
+    "fit "
+    "of the others",
+    limit="`caution`: their error is more than 1.5 times that of the fit. `do not use`: more than "
+    "3 "
     "times, and M is not positive",
     cases={
         "few rows": Case(
-            "not made",
-            "not made: too few rows outside a block for {count} parameters; record longer",
+            "skipped", "too few rows outside a block for {count} parameters", "Record longer."
         ),
-        "no torque": Case("not made", "not made: no torque"),
-        "not predicted": Case("cannot tell", "{without}"),
+        "no torque": Case("skipped", "there is no torque"),
+        "not predicted": Case("inconclusive", "{without}"),
         "far off": _OFF,
         "off": _OFF,
         "ok": Case("ok", "{error}"),
     },
     parts={
-        "lost": "{names} undetermined",
+        "lost": "{names} not well determined",
         "resting": "it has no torque",
         "no prediction": "{name} cannot be predicted by the others: {lost}{resting}",
         "of_recordings": " of recordings",
         "and_without": "; {without}",
-        "error": "error {value:.3g} %{of_recordings} held out, {training:.3g} % "
-        "trained{and_without}",
-        "consistent": ", or take the parameters of --consistent, which generalise better",
-        "not positive": "{text}; and the inertia matrix is not positive: fit with --consistent",
+        "error": "{value:.3g} %{of_recordings} held out, {training:.3g} % fitted, over the same "
+        "rows{and_without}",
+        "consistent": ", or use the parameters of --consistent, which generalise better",
+        "not positive": "{text}. The inertia matrix is not positive",
     },
     unit="%",
 )

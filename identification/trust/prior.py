@@ -87,59 +87,60 @@ def prior_test(evidence: TrustInputs) -> TrustResult | None:
 
 
 PRIOR = Words(
-    test="prior",
+    test="a priori links",
     place=90,
     by=prior_test,
-    wrong="the torque of a joint is not that of the links in the URDF or `[parameters]`; "
-    "columns seem exchanged, a zero off by 90 degrees, or the efforts lack the torque of "
-    "links",
-    advice="check its drive gain, ratio, units and the order of columns; then the URDF",
-    detects="Only printed if the URDF or `[parameters]` describe links, and gains are "
-    "known: the torque of each joint over that of these links, with rotor and friction "
-    "fitted beside",
-    limit="`caution`: a factor is below 0.5 or above 2 beyond its interval, where these "
-    "links explain a quarter of what is not rotor or friction; or a mistake, corrected, "
-    "lets these links explain the torque far better: exchanged columns, positions in other "
-    "units or of another sign, a zero off by 90 or 180 degrees, gravity along another axis; "
-    "or factors are near 0 at every joint, as the efforts lack the links' torque. `cannot "
-    "tell`: all factors are outside, without a common one: the prior is off everywhere. "
-    "Never `do not use`",
+    advice="Check drive gain, ratio, units and order of columns, then the URDF.",
+    detects="A joint torque that differs from that of the links in the URDF or `[parameters]`, if "
+    "gains are known: the factor between them, with rotor and friction fitted too",
+    limit="`caution`: a factor is below 0.5 or above 2 outside its interval, where these links "
+    "explain a quarter of what is not rotor or friction; or correcting a mistake lets these links "
+    "explain the torque far better: swapped columns, positions in other units or of another sign, "
+    "a "
+    "zero wrong by 90 or 180 degrees, gravity along another axis; or factors are near 0 at every "
+    "joint, so the efforts lack the links' torque. `inconclusive`: all factors are outside, "
+    "without "
+    "a common one. Never `do not use`",
     cases={
         "cause": Case(
-            "caution", "{cause}? {links} then need the recorded torques", finding="{cause}"
+            "caution",
+            "with {cause} corrected, {links} explain the recorded torques",
+            "Check this, and import again.",
+            "{cause}?",
         ),
-        "unlike": Case("ok", "no torque is like that of {links}"),
+        "unlike": Case("ok", "no torque resembles that of {links}"),
         "ok": Case("ok", "{all_factors}"),
         "links lost": Case(
             "caution",
-            "{all_factors}: the efforts lack the links' torque (an external torque, noise, or "
-            "a dead channel), or it is another robot's prior?",
-            finding="the efforts lack the links' torque",
+            "{all_factors}, so the efforts lack the links' torque",
+            "Check the efforts for an external torque, noise or a dead channel, and the URDF.",
+            "the efforts lack the links' torque",
         ),
         "negative": Case(
             "caution",
-            "{off}: effort or position of {negative} has the wrong sign?",
-            finding="{negative}: effort or position has the wrong sign",
+            "{off}",
+            "Check the sign of effort and position of {negative}.",
+            "{negative}: effort or position has the wrong sign",
         ),
-        "everywhere": Case("cannot tell", "the prior is off everywhere: {all_factors}"),
+        "everywhere": Case(
+            "inconclusive", "the a priori links are wrong everywhere: {all_factors}"
+        ),
         "off": Case(
-            "caution",
-            "{off}: drive_gain, ratio, unit, a payload, or the prior?",
-            finding="{off}",
+            "caution", "{off}", "Check drive_gain, ratio, unit, payload and the URDF.", "{off}"
         ),
     },
     parts={
         "links": "the {source}'s links",
-        "all_factors": "torques are {factors} times what {links} need",
+        "all_factors": "torques are {factors} times those of {links}",
         "everywhere": "{all_factors}",
-        "some": "{each} what {links} need",
-        "torque": "torque of {joint} is {factor:.2g} times",
+        "some": "{each} that of {links}",
+        "torque": "the torque of {joint} is {factor:.2g} times",
         "off": "{everywhere}{some}",
-        "efforts": "recorded efforts of joints {one} and {other} exchanged",
-        "positions": "recorded positions of joints {one} and {other} exchanged",
+        "efforts": "recorded efforts of joints {one} and {other} swapped",
+        "positions": "recorded positions of joints {one} and {other} swapped",
         "degrees": "position of {one} in rad declared as degrees",
-        "sign": "sign of the position of {one}",
-        "zero": "zero of joint {one} off by {deg} deg",
+        "sign": "wrong sign of the position of {one}",
+        "zero": "zero of joint {one} wrong by {deg} deg",
         "gravity": "gravity along {axis} of the base (gravity_m_s2)",
     },
 )

@@ -34,15 +34,14 @@ MOTION = Words(
     place=100,
     by=motion_test,
     of_data=True,
-    wrong="a joint stands still in all recordings",
-    advice="move it",
-    detects="A joint stands still in all recordings",
-    limit="`caution`: one does, so its friction values are not valid for motion",
+    advice="Record a motion of this joint.",
+    detects="Joints that do not move in any recording",
+    limit="`caution`: there is such a joint, so its friction values do not apply in motion",
     cases={
         "standing": Case(
             "caution",
-            "joint {names} does not move: its friction values do not hold for motion",
-            "move it, or do not use them",
+            "joint {names} does not move, so its friction values do not apply in motion",
+            "Record a motion of this joint, or do not use these values.",
             "{names} does not move",
         )
     },
@@ -91,26 +90,27 @@ ROWS = Words(
     place=110,
     by=rows_test,
     of_data=True,
-    wrong="rows of the log are missing or repeated",
-    advice="record stamps or a counter with the rows; record again",
-    detects="Only printed if rows are doubtful, by position steps that are twice the median "
-    "of their four neighbours, or none, where these are over 10 robust deviations",
-    limit="`caution`: over 0.1 % of the moving rows are missing or repeated. `ok`: rows "
-    "that [nobody measured](#rows-and-filters), which weigh nothing; or double steps "
-    "next to zero steps: the encoder is slower than the log, or its counts are coarse",
+    advice="Record timestamps or a row counter, and record again.",
+    detects="Missing or repeated rows: position steps that are twice the median of their four "
+    "neighbours, or zero, with a robust z-score above 10",
+    limit="`caution`: more than 0.1 % of the rows in motion are missing or repeated. `ok`: [rows "
+    "that were not measured](#rows-and-filters) have zero weight; or double steps next to zero "
+    "steps show that the encoder is slower than the log, or that its counts are coarse. Not "
+    "printed "
+    "otherwise",
     cases={
         "lost": Case(
             "caution",
             "{where}{found} (position steps that are double or zero)",
-            "record time stamps or a row counter ([time] in map.toml), or record again",
+            "Record timestamps or a row counter ([time] in map.toml), or record again.",
             "{found}",
         ),
         "note": Case("ok", "{note}"),
     },
     parts={
         "share": "{percent:.2g} % of the rows {what}",
-        "slow": "the log is faster than the encoder{joints}: {percent:.2g} % of the steps "
-        "are double or zero",
+        "slow": "the log is faster than the encoder{joints}: {percent:.2g} % of the steps are "
+        "double or zero",
     },
 )
 
@@ -158,24 +158,24 @@ def ends_test(evidence: TrustInputs) -> TrustResult | None:
 
 
 ENDS = Words(
-    test="ends",
+    test="outliers",
     place=190,
     by=ends_test,
-    wrong="outliers at an end",
-    advice='`edges = "smooth"`; cut the ends off',
-    detects="Outliers of moving rows at an end of a recording, as of a bad edge",
-    limit="`caution`: one at an end is beyond 30 robust deviations, and twice the largest "
+    advice='Set `edges = "smooth"`, or cut the ends off.',
+    detects="Outliers of rows in motion at an end of a recording, as a bad edge causes",
+    limit="`caution`: a robust z-score at an end is above 30, and above twice the largest "
     "elsewhere",
     cases={
         "edge": Case(
             "caution",
             "{outliers}; joint {joint}: largest {elsewhere:.3g}, at the ends {value:.3g}",
-            'set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)',
+            'Set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples).',
         ),
         "ok": Case("ok", "{outliers}"),
     },
     parts={
-        "outliers": "{count} outliers in {rows} moving rows; largest {middle:.3g} robust "
-        "deviations (limit {limit:g}), at the ends {ends:.3g}"
+        "outliers": "{count} outliers in {rows} rows in motion; largest robust z-score "
+        "{middle:.3g} "
+        "(limit {limit:g}), at the ends {ends:.3g}"
     },
 )

@@ -36,55 +36,59 @@ def fixed_point_line(status: str, reason: str | None, *, gains: bool) -> TrustRe
 
 
 FIXED_POINT = Words(
-    test="fixed point",
+    test="convergence",
     place=60,
-    wrong="iv does not converge, or the simulated robot does not confirm it",
-    advice="check signs, gains, `bandwidth_hz`; record faster motion",
-    detects="Whether the passes of iv converge to a fixed point that the simulated robot "
-    "confirms. With `instruments: reference` nothing is simulated, and there is one "
-    "solution, as by least squares",
-    limit="`do not use`: there is no fixed point. `caution`: the simulated robot does not "
-    "confirm it",
+    advice="Check signs, gains and `bandwidth_hz`, or record faster motion.",
+    detects="Iterations of iv that do not converge, or converge to a solution that the simulated "
+    "robot does not confirm. With instruments from the reference nothing is simulated, and the "
+    "solution is unique, as for least squares",
+    limit="`do not use`: the iterations do not converge. `caution`: the simulated robot does not "
+    "confirm the solution",
     cases={
         "none": Case(
-            "do not use", "{why}", "check signs, gains, bandwidth_hz; record faster motion"
+            "do not use", "{why}", "Check signs, gains and bandwidth_hz, or record faster motion."
         ),
-        "no simulation": Case("caution", "{why}", "record the reference, check [controller]"),
-        "not confirmed": Case("caution", "{why}", "check [controller]; compare with least squares"),
+        "no simulation": Case("caution", "{why}", "Record the reference, or check [controller]."),
+        "not confirmed": Case(
+            "caution", "{why}", "Check [controller], and compare with least squares."
+        ),
         "least squares": Case("ok", "least squares has one solution"),
-        "by reference": Case("ok", "{why}: one solution, less efficient where joints stick"),
+        "by reference": Case(
+            "ok", "{why}: the solution is unique, but less efficient where joints stick"
+        ),
         "confirmed": Case("ok", "converged, and the simulated robot confirms it"),
     },
-    parts={"caused": "{text}: {cause}?"},
+    parts={"caused": "{text}. Likely cause: {cause}"},
 )
 
 
 POSITION_NOISE = Words(
-    test="position noise",
+    test="noise bias",
     place=220,
     of_data=True,
-    wrong="noise of the position biases least squares",
-    advice="take `--method iv`, which needs the reference",
-    detects="Least squares only: how far position noise has moved the estimate, in "
-    "half-widths. Noise of the spectrum seen above the low-pass (white, or falling with "
-    "frequency as AR(1)) is added to the position with both signs; the mean of the two "
-    "moves is the bias. It underestimates a large bias. At most three minutes of a "
-    "recording are used",
-    limit="`caution`: over one half-width and 1 % of an essential parameter, or half of one "
-    "and 5 %",
+    advice="Use `--method iv`, which needs the reference.",
+    detects="Bias of least squares by position noise, in half-widths. Noise with the spectrum seen "
+    "above the low-pass (white, or falling with frequency as AR(1)) is added to the position with "
+    "both signs; the mean of the two changes is the bias. A large bias is underestimated. At most "
+    "three minutes of a recording are used",
+    limit="`caution`: more than one half-width and 1 % of an essential parameter, or half of one "
+    "and "
+    "5 %",
     cases={
-        "no noise": Case("cannot tell", "{reason}", "use --method iv (needs a recorded reference)"),
+        "no noise": Case(
+            "inconclusive", "{reason}", "Use --method iv, which needs a recorded reference."
+        ),
         "ok": Case("ok", "{moves}"),
         "biased": Case(
             "caution",
             "{moves} or more",
-            "use --method iv (needs a recorded reference)",
+            "Use --method iv, which needs a recorded reference.",
             "least squares biased by position noise",
         ),
     },
     parts={
-        "moves": "moves {name} by {value:.2g} half-widths ({percent:.2g} %)",
-        "no low-pass": "without a low-pass noise and motion cannot be separated",
+        "moves": "position noise changes {name} by {value:.2g} half-widths ({percent:.2g} %)",
+        "no low-pass": "without a low-pass, noise and motion cannot be separated",
         "wide": "too little of the noise is above the cut-off of {cutoff_hz:g} Hz",
         "interpolated": "interpolated samples have less noise",
     },
@@ -106,22 +110,20 @@ INSTRUMENTS = Words(
     test="instruments",
     place=210,
     by=instruments_test,
-    wrong="weak: first-stage F below 10",
-    advice="record faster motion; describe the controller",
-    detects="The instruments hardly explain the regressor, or are the regressor itself",
-    limit="`caution`: weak, first-stage F below 10. `cannot tell`: they are W itself",
+    advice="Record faster motion, or describe the controller.",
+    detects="Instruments that hardly explain the regressor, or are the regressor itself",
+    limit="`caution`: first-stage F below 10. `inconclusive`: they are W itself",
     cases={
         "weak": Case(
             "caution",
-            "weak: first-stage F = {value:.2g}, below {limit:g}",
-            "record faster motion, check [controller]",
+            "the instruments are weak: first-stage F = {value:.2g}, below {limit:g}",
+            "Record faster motion, or check [controller].",
         ),
         "regressor": Case(
-            "cannot tell",
-            "the instruments are W itself: this is least squares, with the same bias by "
-            "position noise",
+            "inconclusive",
+            "the instruments are W itself, so this is least squares, with the same noise bias",
         ),
-        "ok": Case("ok", "strong: first-stage F = {value:.3g}"),
+        "ok": Case("ok", "first-stage F = {value:.3g}"),
     },
 )
 
@@ -147,17 +149,16 @@ UNITS = Words(
     test="units",
     place=80,
     by=units_test,
-    wrong="joints share a parameter, and their drive gains are not known",
-    advice="state `drive_gain`",
-    detects="Whether joints share a parameter although their drive gains, and so the units "
-    "of their torques, are not known",
-    limit="`do not use`: they do",
+    advice="Set `drive_gain`.",
+    detects="Joints that share a parameter although their drive gains, and therefore the units of "
+    "their torques, are not known",
+    limit="`do not use`: there are such joints",
     cases={
         "known": Case("ok", "torques of all joints are in known units"),
         "shared": Case(
             "do not use",
             "{shared} act at several joints, and the drive gains are not known",
-            "state drive_gain, or record with and without a weighed payload and fit with --gains",
+            "Set drive_gain, or record with and without a weighed payload and fit with --gains.",
             "drive gains not known",
         ),
         "apart": Case("ok", "drive gains are not known, but no joints share a parameter"),
@@ -186,17 +187,16 @@ ESSENTIAL = Words(
     test="essential",
     place=200,
     by=essential_test,
-    wrong="no inertia has an interval narrower than itself",
-    advice="record faster, longer motion",
-    detects="No inertia is determined",
-    limit="`caution`: no inertia has an interval narrower than itself",
+    advice="Record faster, longer motion.",
+    detects="Recordings in which no inertia is well determined",
+    limit="`caution`: no inertia has an interval narrower than its value",
     cases={
-        "ok": Case("ok", "{essential} of {count}"),
+        "ok": Case("ok", "{essential} of {count} well determined"),
         "no inertia": Case(
             "caution",
             "no inertia has an interval narrower than its value",
-            "record faster, longer motion",
-            "no inertia is determined",
+            "Record faster, longer motion.",
+            "no inertia is well determined",
         ),
     },
 )
@@ -227,17 +227,17 @@ EXCITATION = Words(
     test="excitation",
     place=140,
     by=excitation_test,
-    wrong="the motion hardly excites a combination of parameters, as joints on a single sine do",
-    advice="record a more varied motion: `excite` designs one",
-    detects="The motion hardly excites a combination of the essential parameters: condition "
-    "number of their columns, scaled, with the parameters of the worst direction",
+    advice="Record a more varied motion: `excite` designs one.",
+    detects="Motion that hardly excites a combination of the essential parameters: condition "
+    "number "
+    "of their scaled columns, with the parameters of the worst direction",
     limit="`caution`: above 50 (a motion of five sines has 7 to 11, a single sine 80 to 100)",
     cases={
         "hardly": Case(
             "caution",
-            "a combination of parameters, mostly {names}, is hardly excited: condition "
-            "number {value:.3g}, limit {limit:g}",
-            "record a more varied motion, as `robot-identify excite` designs one",
+            "a combination of parameters, mostly {names}, is hardly excited: condition number "
+            "{value:.3g}, limit {limit:g}",
+            "Record a more varied motion, as `robot-identify excite` designs one.",
             "hardly excited",
         ),
         "ok": Case(
@@ -278,29 +278,28 @@ def halves_test(evidence: TrustInputs) -> TrustResult | None:
 
 
 HALVES = Words(
-    test="halves",
+    test="first against second half",
     place=130,
     by=halves_test,
-    wrong="both halves differ",
-    advice="warm the robot up; look for what changes in time",
-    detects="Both halves, fitted separately, differ: the torque changes with time",
+    advice="Warm the robot up, and look for changes with time.",
+    detects="Torque that changes with time: the two halves, fitted separately, give different "
+    "parameters",
     limit="`caution`: a Wald test at 0.1 %",
     cases={
         "undetermined": Case(
-            "not made",
-            "not made: a half alone does not determine the parameters; record longer",
+            "skipped", "a half alone does not determine the parameters", "Record longer."
         ),
-        "exact": Case("not made", "not made: the fit is exact"),
+        "exact": Case("skipped", "the fit is exact"),
         "differ": Case(
             "caution",
-            "{wald}: the torque changes with time",
-            "warm the robot up, check for drift, fit each half alone",
+            "{wald}. The torque changes with time",
+            "Warm the robot up, check for drift, or fit each half alone.",
         ),
         "ok": Case("ok", "{wald}"),
     },
     parts={
-        "wald": "Wald {value:.3g} for {count} parameters, p = {p:.2g}; {name} differs most, "
-        "by {most:.2g} sigma"
+        "wald": "Wald {value:.3g} for {count} parameters, p = {p:.2g}; {name} differs most, by "
+        "{most:.2g} standard errors"
     },
 )
 

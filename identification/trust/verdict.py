@@ -12,7 +12,7 @@ from . import columns, drives, efforts, gains, physical, predictions, prior, row
 from .evidence import LEVELS, TrustInputs, Words, assume
 
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
-CAUSES = "saturation", "rows", "added columns"  # of no fixed point, by what they find
+CAUSES = "saturation", "rows", "missing terms"  # of no fixed point, by what they find
 MAX_WITNESS_PERCENT = 20.0  # held-out error: more is that of another robot
 MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
@@ -37,18 +37,12 @@ class Trust:
         worst = self.lines[0].level
         return worst if worst == "do not use" or worst == "caution" else "trust"
 
-    @property
-    def finding(self) -> str:
-        """The worst finding in a few words; empty if there is none."""
-        worst = self.lines[0]
-        return "" if self.verdict == "trust" else worst.finding or worst.test
-
 
 def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> Iterator[Assumed]:
     """List the assumptions that no test covers, by the results of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv = signals.sample_rate_hz, evidence.method == "iv"
-    law, lag = lines["control law"], lines.get("lag")
+    law, lag = lines["control law"], lines.get("delay")
     stated = [
         f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None
     ]
@@ -56,12 +50,12 @@ def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) ->
     holds = {
         "drive gains": robot.gain_known and not evidence.gains,
         "efforts": True,
-        "own parameters": any(map(is_own, evidence.estimate.names)),
+        "per-recording parameters": any(map(is_own, evidence.estimate.names)),
         "ratios": True,
         "lengths": several,
         "sample rate": True,
-        "control law": iv and evidence.ending != "by reference" and law.level == "not made",
-        "lag": lag is not None and lag.case in ("stated", "contradicted"),
+        "control law": iv and evidence.ending != "by reference" and law.level == "skipped",
+        "delay": lag is not None and lag.case in ("stated", "contradicted"),
         "filters": duration_s > MAX_SHORT_S,
         "encoder noise": not iv,
     }
@@ -76,7 +70,7 @@ def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) ->
         "law": robot.controller.structure or "",
         "default": not robot.controller.structure,
         "bandwidth_hz": robot.bandwidth_hz,
-        "reason": law.text.removeprefix("not made: "),
+        "reason": law.text,
         "lag": "".join(f"{x.value_s:g} s" for x in evidence.lags[:1]),
         "unseen": False,
         "duration_s": duration_s,
@@ -108,22 +102,22 @@ def trust_in(evidence: TrustInputs) -> Trust:
         for row in sorted(WORDS.values(), key=lambda row: row.place)
         if (line := row.line(evidence)) is not None
     }
-    held, of_robot = lines["held-out blocks"], lines["physical"]
+    held, of_robot = lines["cross-validation"], lines["physical plausibility"]
     if held.case == "far off" and (of_robot.value or 0.0) <= 0:
-        text = WORDS["held-out blocks"].part("not positive", text=held.text)
-        lines["held-out blocks"] = structs.replace(held, level=LEVELS[0], text=text)
+        text = WORDS["cross-validation"].part("not positive", text=held.text)
+        lines["cross-validation"] = structs.replace(
+            held, level=LEVELS[0], text=text, advice="Fit with --consistent."
+        )
     if of_robot.level != LEVELS[0] and (found := _witness(evidence, lines)):
-        text = WORDS["physical"].part("far", text=of_robot.text, witness=found)
-        lines["physical"] = structs.replace(
+        text = WORDS["physical plausibility"].part("far", text=of_robot.text, witness=found)
+        lines["physical plausibility"] = structs.replace(
             of_robot, level=LEVELS[0], text=text, finding=of_robot.finding or found
         )
-    fixed, causes = lines.get("fixed point"), (lines.get(test) for test in CAUSES)
+    fixed, causes = lines.get("convergence"), (lines.get(test) for test in CAUSES)
     known = (x.finding for x in causes if x is not None and x.level in LEVELS[:2] and x.finding)
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
-        text = WORDS["fixed point"].part(
-            "caused", text=fixed.text.partition(": check")[0], cause=cause
-        )
-        lines["fixed point"] = structs.replace(fixed, text=text, finding=cause)
+        text = WORDS["convergence"].part("caused", text=fixed.text, cause=cause)
+        lines["convergence"] = structs.replace(fixed, text=text, advice="", finding=cause)
     of_lines = (one for line in lines.values() for one in line.assumed)
     return Trust(
         lines=worst_first(structs.replace(line, assumed=()) for line in lines.values()),
@@ -138,10 +132,12 @@ def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
     Such signs are a negative factor of the a priori links, an effort sign that fits better
     reversed, or a large held-out error.
     """
-    consistent, of_prior = lines.get("consistent"), lines.get("prior")
-    if (lines["physical"].value or 0.0) > 0 and (consistent is None or consistent.case != "far"):
+    consistent, of_prior = lines.get("physically consistent"), lines.get("a priori links")
+    if (lines["physical plausibility"].value or 0.0) > 0 and (
+        consistent is None or consistent.case != "far"
+    ):
         return ""
-    held = lines["held-out blocks"].value or 0.0
+    held = lines["cross-validation"].value or 0.0
     if of_prior is not None and any(
         (x or 0.0) + (half or 0.0) < 0 for _, x, half, _ in of_prior.figures
     ):

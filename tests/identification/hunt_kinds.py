@@ -409,7 +409,7 @@ BOTH = ("emps", "scara")
 WITH_PRIOR = ("tx40", "seven")  # of links: the SCARA's [parameters] are sums
 ASSUMED = "assumed"  # named as what no test can tell
 CORRECTED = "corrected"  # in a line of any level: the fault was found, and cured
-LATE = (("lag", ""), ("lag", CORRECTED))
+LATE = (("delay", ""), ("delay", CORRECTED))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -433,15 +433,23 @@ KINDS = {
         named=(("control law", ""),),
     ),
     "described drive gain ±5-50 %": Kind(
-        change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)
+        change=drive_gain, named=(("missing terms", "gain"),), unseen=("emps",)
     ),
     "sign": Kind(
         change=sign,
-        named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign")),
+        named=(
+            ("physical plausibility", "sign"),
+            ("control law", "sign"),
+            ("signs and order", "sign"),
+        ),
     ),
     "two wrong signs": Kind(
         change=two_signs,
-        named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign")),
+        named=(
+            ("physical plausibility", "sign"),
+            ("control law", "sign"),
+            ("signs and order", "sign"),
+        ),
         robots=("scara", "tx40"),
     ),
     "efforts of two motors exchanged": Kind(
@@ -468,15 +476,15 @@ KINDS = {
     ),
     "asymmetric friction 20-50 %": Kind(
         change=lambda s, rng: s.with_friction(asymmetry=rng.uniform(0.2, 0.5)),
-        named=(("added columns", "asymmetric"),),
+        named=(("missing terms", "asymmetric"),),
     ),
     "Stribeck 50 %": Kind(
-        change=lambda s, rng: s.with_friction(stribeck=0.5), named=(("added columns", "Stribeck"),)
+        change=lambda s, rng: s.with_friction(stribeck=0.5), named=(("missing terms", "Stribeck"),)
     ),
     "cogging": Kind(change=cogging),
     "friction drifts 20-40 %": Kind(
         change=lambda s, rng: s.in_cell(friction_drift=rng.choice([-1, 1]) * rng.uniform(0.2, 0.4)),
-        named=(("halves", ""), ("added columns", "drift")),
+        named=(("first against second half", ""), ("missing terms", "drift")),
     ),
     "rate 1 %": Kind(
         change=lambda s, rng: s.changed(
@@ -491,11 +499,13 @@ KINDS = {
     "12 bit over the range": Kind(change=twelve_bits),
     "slow motion": Kind(change=lambda s, rng: replace(s, highest_hz=rng.uniform(0.12, 0.25))),
     "2 s": Kind(change=lambda s, rng: replace(s, duration_s=2.0)),
-    "payload midway 10-40 %": Kind(change=payload_midway, named=(("halves", ""),)),
+    "payload midway 10-40 %": Kind(
+        change=payload_midway, named=(("first against second half", ""),)
+    ),
     "no reference": Kind(change=lambda s, rng: without_reference(s)),
     "no controller": Kind(change=lambda s, rng: without_law(s)),
     "late, no reference": Kind(
-        change=lambda s, rng: without_reference(late(s, rng)), named=(*LATE, (ASSUMED, "lag"))
+        change=lambda s, rng: without_reference(late(s, rng)), named=(*LATE, (ASSUMED, "delay"))
     ),
     "late, no controller": Kind(change=lambda s, rng: without_law(late(s, rng)), named=LATE),
     "tilt 1-5°": Kind(
@@ -507,7 +517,7 @@ KINDS = {
                 tilt_rad=np.deg2rad(rng.uniform(1, 5)),
             ),
         ),
-        named=(("added columns", "tilt"),),
+        named=(("missing terms", "tilt"),),
         robots=("scara",),
     ),
     "DH length 1-6 %": Kind(change=length, robots=("scara",), unseen=("scara",)),
@@ -519,41 +529,41 @@ KINDS = {
         named=LATE,
     ),
     "rotor denied": Kind(
-        change=denied_rotor, named=(("added columns", "rotor"),), robots=("scara",)
+        change=denied_rotor, named=(("missing terms", "rotor"),), robots=("scara",)
     ),
     "zero of a joint 2°": Kind(
         change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
     ),
     "joint off by 90 degrees": Kind(
-        change=quarter_turn, named=(("prior", "off by"),), robots=WITH_PRIOR
+        change=quarter_turn, named=(("a priori links", "off by"),), robots=WITH_PRIOR
     ),
     "links subtracted": Kind(
         change=links_subtracted,
-        named=(("prior", "lack the links"),),
+        named=(("a priori links", "lack the links"),),
         robots=WITH_PRIOR,
     ),
     "torque constant drifts 3-10 %": Kind(
         change=lambda s, rng: s.in_cell(gain_drift=rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)),
-        named=(("added columns", "torque constant"),),
+        named=(("missing terms", "torque constant"),),
     ),
     "hysteresis 10-20 %": Kind(
         change=lambda s, rng: s.in_cell(hysteresis_percent=rng.uniform(10, 20)),
-        named=(("added columns", "hysteresis"),),
+        named=(("missing terms", "hysteresis"),),
     ),
     "brake drags for 30 % of the time": Kind(
         change=lambda s, rng: s.in_cell(
             dragging=rng.uniform(0.5, 1.5), dragging_from=rng.uniform(0.0, 0.7)
         ),
-        named=(("added columns", "of the time"), ("halves", "")),
+        named=(("missing terms", "of the time"), ("first against second half", "")),
     ),
     "ratio of one joint 5-10 %": Kind(
-        change=ratio_of_one, named=(("added columns", "ratio"),), robots=("scara", "tx40")
+        change=ratio_of_one, named=(("missing terms", "ratio"),), robots=("scara", "tx40")
     ),
     "ratio of joint 4 5-10 %": Kind(
         change=lambda s, rng: ratio(s, rng, np.where(np.arange(6) == 3, off(rng, 5, 10), 1.0)),
-        named=(("added columns", "ratio"),),
+        named=(("missing terms", "ratio"),),
         robots=("tx40",),
         unseen=("tx40",),
     ),
-    "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("added columns", "clock"),)),
+    "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("missing terms", "clock"),)),
 }

@@ -133,8 +133,8 @@ def test_from_table(arm):
     identify("export", "fit.json", "--mjcf", "robot.xml")
     fit = identification.read_fit("fit.json")
     assert fit.verdict == "trust"
-    assert {one.test: one.level for one in fit.file.trust}["lag"] == "cannot tell"
-    assert "lag" in [one.what for one in fit.file.assumed]
+    assert {one.test: one.level for one in fit.file.trust}["delay"] == "inconclusive"
+    assert "delay" in [one.what for one in fit.file.assumed]
     assert true_to(truth, fit)
 
 

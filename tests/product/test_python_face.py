@@ -452,9 +452,9 @@ def test_stored_fit_has_short_repr():
     assert {
         "0.69 %",
         "held out",
-        "half of the 37 determined parameters",
-        "the worst, ZZ6",
-        "±86 %",
+        "median 95 % half-width of 37 well-determined parameters",
+        "largest 95 % half-width (ZZ6)",
+        "86 %",
     } <= {*page.texts}
     assert expected.strip("()") in page.texts[0]
     value = {p.name: p for p in stored.parameters}

@@ -31,8 +31,8 @@ def test_narrow_terminal_keeps_all_digits(narrow, capsys, tmp_path):
     assert "…" not in told
     for p in json.loads(out.read_text())["parameters"]:
         # not a folded line that begins with the name
-        (row,) = re.findall(rf"(?m)^{p['name']} +-?[0-9.]+ +[0-9.]+ .*", told)
-        value, half = (float(x) for x in row.split()[1:3])
+        (row,) = re.findall(rf"(?m)^{p['name']} .*-?[0-9]+\.[0-9]+ +[0-9.]+ .*", told)
+        value, half = (float(x) for x in re.findall(r"-?\d+\.\d+", row)[:2])
         assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
         assert half == pytest.approx((p["high"] - p["low"]) / 2, rel=0.01)
     assert max(len(line) for line in told.splitlines()) < 90

@@ -86,7 +86,7 @@ def errors_of(capsys, robot, *options):
     return [li for li in out.splitlines() if " of the description: " in li], content["joints"]
 
 
-LINE = "warning: {} has no {} of the description: zero, as in the fit"
+LINE = "Warning: {} has no {} of the description: zero, as in the fit"
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_missing_terms_reported_and_zero(here, capsys, terms, missing):
     assert with_more == errors
     robot = described("scara", terms)
     warnings = prior_information(robot, fit=FIT).warnings
-    assert [f"warning: {text}" for text in warnings] == told
+    assert [f"Warning: {text}" for text in warnings] == told
 
 
 def test_several_recordings_report_missing_once(here, capsys):

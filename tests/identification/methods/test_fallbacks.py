@@ -65,5 +65,8 @@ def test_unknown_payload_alone_has_no_scale(capsys):
         main(["fit", str(REPLAY / "scara" / "session.mcap"), "--payload", "session=unknown"]) == 0
     )
     printed = " ".join(capsys.readouterr().out.split())
-    assert "payload of session.mcap: it has no scale, as nothing tells it from the arm" in printed
+    assert (
+        "Payload of session.mcap: it has no scale, because it cannot be separated from the arm"
+        in printed
+    )
     assert "mass 1 kg" not in printed

@@ -277,7 +277,7 @@ def test_negative_friction_reported_signs_not(values, told):
     fit = with_consistent(
         identify_ls(moved(robot, 2), Overrides(torque_lag_s="none", edges="smooth"))
     )
-    line, made = fit.trust.line("physical"), fit.consistent_set
+    line, made = fit.trust.line("physical plausibility"), fit.consistent_set
     assert (
         (line.level == "do not use")
         == ("friction would drive joint axis at -" in line.text)
@@ -285,7 +285,7 @@ def test_negative_friction_reported_signs_not(values, told):
     )
     # What the verdict has nothing against, the consistent set leaves as it is, and
     # the other way round.
-    assert made.chi2 == fit.trust.line("consistent").value
+    assert made.chi2 == fit.trust.line("physically consistent").value
     assert (made.largest_move > 1) == told
     beta, chi = (
         np.array([p.value for p in of]) for of in (made.base_parameters, fit.standard_parameters)
@@ -310,7 +310,9 @@ def test_own_friction_judged_in_own_recording():
     robot = dataclasses.replace(robot, identification=own)
     fit = identify_ls(moved(robot, 2, 3, noise=0.1), Overrides(torque_lag_s="none", edges="smooth"))
     assert {"Fv1@r2", "Fv1@r3"} < set(fit.estimate.names)
-    assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
+    assert fit.trust.line("physical plausibility").level == "ok", fit.trust.line(
+        "physical plausibility"
+    ).text
 
 
 # --- the command
@@ -408,7 +410,7 @@ def test_tx40_needs_root_and_load_friction(tx40):
     )
     assert fit.errors[2].relative_error_percent == pytest.approx(3.21, abs=0.05)
     assert fit.beta[fit.estimate.names.index("mu3")] == pytest.approx(0.333, abs=0.01)
-    assert fit.trust.line("physical").level == "ok"
+    assert fit.trust.line("physical plausibility").level == "ok"
 
 
 def test_emps_needs_asymmetric_and_root_friction(emps):

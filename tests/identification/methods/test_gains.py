@@ -162,14 +162,14 @@ def test_loaded_essential_parameters_are_true(folder, tmp_path, names, options):
         ("free loaded", ["--gains", f"--payload=free={STATED}", "--payload=loaded=none"], 3,
          "all drive gains are negative"),
         ("free_true loaded_true", ["--gains", "--payload=loaded_true=1"], 0,
-         "caution: gains: drive gains are 0.49"),
+         "caution: drive gains: the drive gains are 0.49"),
         ("free free2", ["--gains", f"--payload=free2={STATED}"], 3,
-         "do not use: gains: no drive gain is usable"),
+         "do not use: drive gains: no drive gain is usable"),
         ("light_free light_loaded", ["--gains"], 3,
-         "do not use: gains: no drive gain is usable (motor_1 ±"),
+         "do not use: drive gains: no drive gain is usable (motor_1 ±"),
         ("torque_free torque_loaded", ["--gains"], 0,
-         "all are 1 N m per unit: the recorded effort is a torque already"),
-        ("blank_free blank_loaded", ["--gains"], 0, "ok: gains: known to "),
+         "all are 1 N m per unit, so the recorded effort is already a torque"),
+        ("blank_free blank_loaded", ["--gains"], 0, "ok: drive gains: known to "),
         ("blank_free blank_loaded", [], 3, "do not use: units: "),
     ],
 )  # fmt: skip
@@ -286,9 +286,9 @@ def test_lone_loaded_recording_names_its_parameters(pair):
             np.abs(apart - fit.base.K[:, link_columns(model)[-1]] @ left) <= 2 * fit.intervals.half
         ).all()
         assert (np.abs(apart) > 2 * fit.intervals.half).any()
-        assert fit.trust.line("position noise").level == "ok"
+        assert fit.trust.line("noise bias").level == "ok"
         (why,) = [one.why for one in fit.trust.assumed if one.what == "payload"]
-        assert "the parameters include what is not stated of the lightest" in why
+        assert "the parameters include what is not given of the lightest" in why
 
 
 def validated(folder, name, out, *options):
@@ -357,7 +357,7 @@ def test_gains_without_reference_use_measured_motion(pair, fit):
         (),
     )
     told = "drive gains from the measured motion: the robot cannot be simulated without a recorded"
-    assert fit.trust.line("fixed point").text.startswith(told)
+    assert fit.trust.line("convergence").text.startswith(told)
     assert (off_in_half_widths(fit, WHITE.gains) <= 1).all()
 
 
@@ -365,10 +365,10 @@ def test_negative_gains_not_simulated(pair, monkeypatch):
     free, loaded = (replace(one, q_ref=one.q.copy()) for one in pair)
     monkeypatch.setattr(SimulatedRecording, "simulated", None)
     fit = fit_with_gains(replace(free, payload=loaded.payload), replace(loaded, payload=None))
-    line = fit.trust.line("fixed point")
+    line = fit.trust.line("convergence")
     assert (line.level, fit.trust.verdict) == ("caution", "do not use")
     assert line.text.startswith(
-        "drive gains from the measured motion: the robot cannot be simulated with them: "
+        "drive gains from the measured motion: the robot cannot be simulated with them"
     )
     assert (gains_of(fit)[0] < 0).all()
 
@@ -429,9 +429,9 @@ def test_inseparable_last_link_regrouped(robot, payload, names):
     told = [(p, x) for p, x in zip(found.parameters, true, strict=True) if not p.from_prior]
     assert len(told) >= len(names) - 2
     (table,) = (
-        one.table for one in fit_document(fit_file(fit)).sections if "payload of" in one.title
+        one.table for one in fit_document(fit_file(fit)).sections if "Payload of" in one.title
     )
-    assert [row[-1] == "stated" for row in table.rows] == [
+    assert [row[-1] == "given" for row in table.rows] == [
         payload.mass_kg is not None,
         *[payload.center_of_mass_m is not None] * 3,
         *[False] * 6,

@@ -125,12 +125,12 @@ def test_distance_to_consistent_model_reported():
     wrong = identify_iv(turned, Overrides(), Iteration())
     assert {p.kind for p in right.passes} == {"simulated"}
     assert all(p.reason is not None for p in wrong.passes if p.kind != "simulated")
-    line = right.trust.line("consistent")
+    line = right.trust.line("physically consistent")
     assert (line.level, "chi² = " in line.text) == ("ok", True)
     assert line.value < 10
-    line = wrong.trust.line("consistent")
+    line = wrong.trust.line("physically consistent")
     assert line.level == "caution"
     assert line.value > 1000
     # chi-squared of 8 degrees of freedom is above 26.12 in 0.1 % of cases, by any table
     assert "above 26.1, the limit of chance: check signs and units" in line.text
-    assert ls_of(path).trust.line("consistent").level == "ok"
+    assert ls_of(path).trust.line("physically consistent").level == "ok"

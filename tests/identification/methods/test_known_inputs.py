@@ -82,7 +82,7 @@ def test_truth_in_intervals_with_both():
     assert "caution" not in [line.level for line in fit.trust.lines]
     assert fit.errors[-1].moving_relative_error_percent < 2.0
     assert fit.trust.line("control law").figures[0][1] == pytest.approx(1.0, abs=0.002)
-    assert fit.trust.line("lag").figures[0][1] == pytest.approx(-0.5, abs=0.1)
+    assert fit.trust.line("delay").figures[0][1] == pytest.approx(-0.5, abs=0.1)
     assert fit.status == "converged"
     # 0.03 without the pulses, and the robot is lost without the spring
     assert fit.passes[-1].tracking_percent < 0.01
@@ -93,12 +93,12 @@ def test_missing_spring_gives_caution():
     fit = fitted(without("known_torque"), "iv")
     assert not (off(fit) < 1).all()
     assert fit.trust.verdict == "caution"
-    found = fit.trust.line("added columns")
+    found = fit.trust.line("missing terms")
     assert found.level == "caution"
     kind, _, stiffness = found.text.partition(" N/m")[0].rpartition(" ")
     assert kind == "spring of joint axis"
     assert float(stiffness) == pytest.approx(STIFFNESS, rel=0.03)
-    assert "record its torque" in found.text
+    assert "Record its torque" in found.advice
 
 
 def test_missing_pulses_give_caution():
@@ -325,7 +325,7 @@ def test_gain_of_drive_not_external_torque():
     signals = flat_arm()
     known = np.stack([0 * signals.t_s, 20 * np.sin(4 * signals.t_s)], axis=1)
     wrong = replace(signals, effort=(signals.effort - known) * [1.0, 1.1], known_torque=known)
-    found = identify_ls(wrong, Overrides()).trust.line("added columns")
+    found = identify_ls(wrong, Overrides()).trust.line("missing terms")
     assert found.text.startswith("relative gain of joint elbow ")
     assert float(found.text.split("elbow ")[1].split(" %")[0]) == pytest.approx(10.0, abs=0.5)
 
@@ -338,11 +338,11 @@ def test_torques_without_gravity_reported():
     plain, found = (
         identify_ls(
             replace(signals, effort=signals.effort - x), Overrides(torque_lag_s="none")
-        ).trust.line("physical")
+        ).trust.line("physical plausibility")
         for x in (0, weight)
     )
     assert (plain.level, found.level) == ("ok", "caution")
-    assert "the torques fit a model without gravity better: " in found.text
+    assert "a model without gravity fits the torques better: " in found.text
     left, against = (
         float(part.split()[-1]) for part in found.text.split("better: ")[1].split(" %")[:2]
     )
@@ -351,7 +351,9 @@ def test_torques_without_gravity_reported():
 
 def test_vertical_axes_have_no_missing_gravity():
     signals = flat_arm()
-    assert "gravity" not in identify_ls(signals, Overrides()).trust.line("physical").text
+    assert (
+        "gravity" not in identify_ls(signals, Overrides()).trust.line("physical plausibility").text
+    )
     # a description that lays it on its side
     upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))
     laid = replace(signals, robot=upright)
@@ -360,6 +362,10 @@ def test_vertical_axes_have_no_missing_gravity():
         replace(laid, robot=replace(upright, identification=own), recording=x, sha256=x)
         for x in ("a", "b")
     ]
-    both = identify_ls(Recordings(sources=tuple(twice)), Overrides()).trust.line("physical").text
+    both = (
+        identify_ls(Recordings(sources=tuple(twice)), Overrides())
+        .trust.line("physical plausibility")
+        .text
+    )
     # rows of both recordings, whose friction has columns of its own
-    assert "without gravity better" in both
+    assert "without gravity fits the torques better" in both

@@ -46,7 +46,7 @@ def test_wrong_payload_value_reported(off_m, mass_kg, told):
     )
     assert fit.trust.verdict == ("caution" if told else "trust")
     if told == "gains":
-        assert "check the payload's mass" in fit.trust.line("gains").text
+        assert "check the payload's mass" in fit.trust.line("drive gains").text
         return
     assert (off_in_half_widths(fit, mujoco_arm.GAINS) <= 2).all()
     assert (gains_of(fit)[1] < 0.01 * mujoco_arm.GAINS).all()
@@ -98,7 +98,7 @@ def test_one_motor_of_wrong_sign_named():
     for one in planned_pair(SCARA):
         current = one.robot.motor_effort(one.effort) * [1.0, -1.0]
         turned.append(replace(one, effort=one.robot.joint_effort(current)))
-    line = fit_with_gains(*turned).trust.line("gains")
+    line = fit_with_gains(*turned).trust.line("drive gains")
     assert line.level == "do not use"
     assert line.text.startswith("wrong sign of motor_2: its drive gain is negative")
 

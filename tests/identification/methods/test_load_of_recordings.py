@@ -63,8 +63,8 @@ def test_truth_in_intervals_without_warnings(method, own):
     assert found.max() < 2.5
     assert fit.intervals.half[fit.estimate.names.index("mu1")] < 0.05
     levels = {line.test: line.level for line in fit.trust.lines}
-    assert set(levels.values()) <= {"ok", "cannot tell", "not made"}, levels
-    assert levels["physical"] == levels["held-out blocks"] == "ok"
+    assert set(levels.values()) <= {"ok", "inconclusive", "skipped"}, levels
+    assert levels["physical plausibility"] == levels["cross-validation"] == "ok"
 
 
 def test_consistent_parameters_use_same_terms():
@@ -85,7 +85,7 @@ def test_held_out_predicted_by_others():
     problem = make_problem(sources[0], Overrides()).for_errors
     ((held_out, _, trained),) = (
         of
-        for name, *of in fit.trust.line("held-out blocks").figures
+        for name, *of in fit.trust.line("cross-validation").figures
         if name == sources[0].recording
     )
     for beta, told, within in (
@@ -103,7 +103,7 @@ def test_negative_load_friction_found_in_loaded_rows():
     """
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=10.0, Fc=20.0, mu=-0.3)
     fit = identify_ls(moved(robot, 2, 3), Overrides(torque_lag_s="none", edges="smooth"))
-    line = fit.trust.line("physical")
+    line = fit.trust.line("physical plausibility")
     assert line.level == "do not use"
     assert "friction would drive joint axis at " in line.text
     resists, load = float(line.text.split("/s: ")[1].split(" ")[0]), 0.3 * 95.0 * 9.81

@@ -85,10 +85,10 @@ def test_ls_biased_by_loop_noise_iv_not(fits):
 
 
 def test_reason_reported_no_law_assumed(fits):
-    fit, alone = fits[0], "instruments: reference"
+    fit, alone = fits[0], "instruments from the reference"
     assert fit.solution.reason.startswith(alone)
     assert alone in fit_document(fit_file(fit)).title
-    line = fit.trust.line("fixed point")
+    line = fit.trust.line("convergence")
     assert (line.level, alone in line.text) == ("ok", True)
     assert "control law" not in [one.what for one in fit.trust.assumed]
     file = fit_file(fit)
@@ -108,7 +108,7 @@ def test_nothing_confirmed_without_usable_reference(unconfirmed, reference):
         signals if reference else dataclasses.replace(signals, q_ref=None), HELD, method="iv"
     )
     assert (fit.status, stands_alone(fit)) == ("not_confirmed", False)
-    assert fit.trust.line("fixed point").level == "caution"
+    assert fit.trust.line("convergence").level == "caution"
 
 
 def test_torque_delay_found(unconfirmed, fits):

@@ -119,7 +119,7 @@ def test_held_out_predicted_by_others():
     tau, (predicted,), counts, *_ = torque_of_recording(*equation_alone(problem), [beta])
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
-    figures = fit.trust.line("held-out blocks").figures
+    figures = fit.trust.line("cross-validation").figures
     assert figures[2][3] < figures[2][1] == last.held_out.error_percent
     assert [name for name, *_ in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
@@ -130,7 +130,7 @@ def test_unpredicted_recording_is_caution():
         several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)),
         Overrides(),
     )
-    line = fit.trust.line("held-out blocks")
+    line = fit.trust.line("cross-validation")
     assert line.level == "caution"
     assert line.value > 1.5 * np.mean([expected for *_, expected in line.figures])
 
@@ -181,8 +181,8 @@ def test_recordings_excite_half_each(tmp_path, capsys):
         write_signals(tmp_path / one.recording, one, source="test")
     fit = identify_ls(several(*halves), Overrides())
     assert off(fit).max() < 2.0
-    line = fit.trust.line("held-out blocks")
-    assert (line.level, line.value) == ("cannot tell", None)
+    line = fit.trust.line("cross-validation")
+    assert (line.level, line.value) == ("inconclusive", None)
     stored = fit_files(
         tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1"
     )
@@ -319,7 +319,7 @@ def test_per_recording_offsets():
     assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
     # A recording's own offset is fitted to it when it is held out; a shared one is not.
     for (_, own, _, trained), (_, other, *_) in zip(
-        *(one.trust.line("held-out blocks").figures for one in (found, shared)), strict=True
+        *(one.trust.line("cross-validation").figures for one in (found, shared)), strict=True
     ):
         assert own < 1.05 * trained < other
     assert shared.own is None
@@ -414,7 +414,7 @@ def test_delays_in_samples_of_first_recording():
         "of two rates, each has its own"
     )
     np.testing.assert_allclose([1e3 * lag.value_s for lag in fit.data.lags], 4.0, atol=0.3)
-    assert fit.trust.line("lag").value == pytest.approx(4.0, abs=0.3)
+    assert fit.trust.line("delay").value == pytest.approx(4.0, abs=0.3)
 
 
 def test_worst_recording_gives_recomputed_output():

@@ -87,7 +87,7 @@ def test_speed_feedforward_arm_without_bandwidth(ur5):
     fit, true = identify(ur5, Overrides()), truth(ur5)
     values = np.array([true[name] for name in fit.estimate.names])
     assert fit.status == "converged", fit.reason
-    assert fit.trust.verdict != "do not use", fit.trust.finding
+    assert fit.trust.verdict != "do not use", fit.trust.lines[0].finding
     assert 2.5 < fit.settings.cutoff_hz < 5.0
     assert len(values) == 52
     assert (np.abs(fit.estimate.beta - values) > fit.intervals.half).sum() <= 8

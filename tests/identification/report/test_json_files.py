@@ -1,6 +1,7 @@
 """JSON files: every key of earlier versions is there, each file has the version of its format."""
 
 import json
+import re
 
 import msgspec
 import numpy as np
@@ -10,6 +11,7 @@ from fits_of_records import iv_of, ls_of
 
 from identification.commands import main
 from identification.report import FitFile, ValidationFile, read_fit, write_json
+from identification.report.fit_file import NEW_WORDS
 from identification.results import fit_file
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -58,6 +60,22 @@ def test_fit_keeps_keys_of_earlier_versions(fits):
     only_iv |= {"contrast_half_widths", "rows_used_percent", "saturated_percent", "direct_model"}
     only_iv.add("least_squares")
     assert set(now) - set(without) == only_iv
+
+
+def test_words_of_earlier_versions_are_read(fits, tmp_path, capsys):
+    """Of tests, levels and assumptions, in every command that reads a fit."""
+    text, path = fits["iv"].read_text(), tmp_path / "fit.json"
+    for old, new in NEW_WORDS.items():
+        text = re.sub(f'("(?:test|level|what)": )"{new}"', rf'\1"{old}"', text)
+    path.write_text(text)
+    assert '"test": "halves"' in text
+    assert '"test": "convergence"' not in text
+    assert read_fit(path) == read_fit(fits["iv"])
+    for command in ("validate {} {}", "compare {} {}", "view {} -o {}.html"):
+        other = {"validate": SCARA, "compare": fits["iv"], "view": path}[command.split()[0]]
+        assert main(command.format(path, other).split()) == 0
+    assert "convergence" in (tmp_path / "fit.json.html").read_text()
+    capsys.readouterr()
 
 
 def test_fit_round_trips_through_json(fits):

@@ -67,7 +67,7 @@ def test_three_renderers_give_same_cells(capsys):
     )
     for text in (terminal, markdown):
         assert text.index("a robot: fit") < text.index("status: solved") < text.index("parameters")
-        assert "warning: a wrong gain" in text
+        assert "Warning: a wrong gain" in text
 
 
 def test_markdown_escapes_markup():

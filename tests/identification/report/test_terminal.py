@@ -30,7 +30,7 @@ WIDE = Document(
         Section(
             title="hidden",
             lines=("only with --all",),
-            short=Section(lines=("3 of 3 checks passed (--all)",)),
+            short=Section(hint="3 more lines: --all"),
         ),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
     ),
@@ -52,7 +52,7 @@ def test_short_report_wraps_without_cutting_names(capsys):
         "a number and its unit stay together"
     )
     assert "only with --all" not in out
-    assert "3 of 3 checks passed (--all)" in lines
+    assert "3 more lines: --all" in lines
     assert not set("┃│") & set(out)
 
 
@@ -60,7 +60,7 @@ def test_all_option_hides_nothing(capsys):
     print_whole(WIDE)
     lines = capsys.readouterr().out.splitlines()
     assert {("word " * 60).strip(), "only with --all"} <= set(lines)
-    assert "3 of 3 checks passed (--all)" not in lines
+    assert "3 more lines: --all" not in lines
 
 
 def test_short_table_counts_hidden_rows():
@@ -70,7 +70,7 @@ def test_short_table_counts_hidden_rows():
     )
     short = section.with_short_table([5, 2]).short
     assert short.table.rows == (("p2",), ("p5",))
-    assert short.lines == ("a line", "19 rows hidden (--all)")
+    assert (short.lines, short.hint) == (("a line",), "19 more rows: --all")
     assert short.warnings == ("a warning",)
     few = Section(table=Table(columns=columns("name"), rows=rows[:20]))
     assert few.with_short_table([1]) is few
@@ -89,4 +89,4 @@ def test_short_comparison_has_largest_and_warnings():
     assert section.warnings == ("a warning",)
     assert len(section.table.rows) == 10
     assert {"Fv1", "Ia6"} <= {row[0] for row in section.table.rows}
-    assert section.lines[-1] == "50 rows hidden (--all)"
+    assert section.hint == "50 more rows: --all"

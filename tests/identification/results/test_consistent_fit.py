@@ -70,9 +70,9 @@ def test_verdict_shares_consistent_computation(consistent):
     """chi² and largest move of the verdict's line are those of `--consistent`; not with
     another prior, which is said.
     """
-    c, line = consistent.consistent_set, consistent.trust.line("consistent")
+    c, line = consistent.consistent_set, consistent.trust.line("physically consistent")
     assert (line.level, line.value) == ("ok", c.chi2)
-    assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
+    assert f"{c.moved_most} changes by {c.largest_move:.2g} half-widths" in line.text
     other = with_consistent(
         consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={})
     )
@@ -93,14 +93,14 @@ def test_report_has_intervals_and_dropped_names(consistent):
         consistent, consistent_set=msgspec.structs.replace(c, base_parameters=base)
     )
     sections = {s.title: s for s in fit_document(fit_file(far)).sections}
-    standard = sections["physically consistent standard parameters"]
-    heads = ["parameter", "value", "±95%", "unit", "mostly from"]
+    standard = sections["Physically consistent standard parameters"]
+    heads = ["parameter", "value", "95 % half-width", "unit", "mostly from"]
     assert [heading for heading, _ in standard.table.columns] == heads
     assert [row[2].value for row in standard.table.rows] == [
         p.half_width for p in consistent.standard_parameters
     ]
-    assert f"moved by more than one half-width: {base[3].name} (+1.7)" in standard.lines
-    of_base = sections["physically consistent base parameters"].table
+    assert f"Changed by more than one half-width: {base[3].name} (+1.7)" in standard.lines
+    of_base = sections["Physically consistent base parameters"].table
     assert [row[0] for row in of_base.rows] == [p.name for p in base]
     assert [row[2].value for row in of_base.rows] == [p.half_width for p in base]
     assert of_base.rows[3][-1].value == 1.7

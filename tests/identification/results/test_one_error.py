@@ -37,7 +37,7 @@ def test_all_outputs_report_same_error(tmp_path, monkeypatch, capsys):
     error = json.loads((tmp_path / "f.json").read_text())["relative_error_percent"]
     assert f"{error:.3g} % torque error" in printed.splitlines()[0]
     assert f"relative {error:.3g} % torque error" in printed
-    assert f"% held out, {error:.3g} % trained" in printed
+    assert f"% held out, {error:.3g} % fitted" in printed
     assert main(["validate", "f.json", str(SESSION), "--json", "v.json"]) == 0
     again = json.loads((tmp_path / "v.json").read_text())
     assert again["relative_error_percent"] == pytest.approx(error, rel=1e-6)

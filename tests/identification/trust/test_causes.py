@@ -29,7 +29,7 @@ def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
 
 def first(fit: Evidence) -> tuple[str, str]:
     """Verdict and finding: what the user reads first."""
-    return fit.trust.verdict, fit.trust.finding
+    return fit.trust.verdict, fit.trust.lines[0].finding
 
 
 def with_sign(signals: Signals, motor: int) -> Signals:
@@ -60,7 +60,7 @@ def test_wrong_sign_names_motor_unless_all_wrong():
             replace(signals, q=turned * signals.q, q_ref=turned * signals.q_ref),
             "the position of motor_1 has the wrong sign",
         ),
-        (with_sign(wrong, 0), "physical"),
+        (with_sign(wrong, 0), "physical plausibility"),
     ):
         assert first(fit_by_least_squares(one)) == ("do not use", finding)
 

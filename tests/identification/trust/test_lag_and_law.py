@@ -88,7 +88,7 @@ def test_delay_found_corrected_and_counted(name, lag):
     assert (np.abs(fit.beta - stated.beta) < fit.intervals.half).all()
     wider = np.sqrt(stated.intervals.sigma**2 + found.moved**2)
     np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.15)
-    told = fit.trust.line("lag")
+    told = fit.trust.line("delay")
     assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
     assert "corrected, included in the intervals" in told.text
 
@@ -136,16 +136,16 @@ def test_contradicting_data_count_alone():
     fit = fitted(with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz))
     (found,) = fit.data.lags
     assert (found.source, 1e3 * found.value_s) == ("data", pytest.approx(1.5, abs=0.2))
-    assert "contradicts it and is not used" in fit.trust.line("lag").text
+    assert "contradicts it and is not used" in fit.trust.line("delay").text
 
 
 def test_data_beside_given_delay():
     late = recorded("emps", lag=3)
     fit = fitted(late, method="wls", torque_lag_s=0.0025)
-    assert (fit.trust.line("lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
-    assert "lag" in [one.what for one in fit.trust.assumed]
-    wrong = fitted(late, torque_lag_s=0.002).trust.line("lag")
-    assert (wrong.level, "the data give 0.002" in wrong.text) == ("caution", True)
+    assert (fit.trust.line("delay").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
+    assert "delay" in [one.what for one in fit.trust.assumed]
+    wrong = fitted(late, torque_lag_s=0.002).trust.line("delay")
+    assert (wrong.level, "the data show 0.002" in wrong.text) == ("caution", True)
 
 
 def test_lag_without_reference_widens_intervals():
@@ -153,7 +153,7 @@ def test_lag_without_reference_widens_intervals():
     fit = identify(bare, Overrides())
     (found,) = fit.data.lags
     assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
-    assert fit.trust.line("lag").text.startswith("not known, 0 ± 2 ms: ±")
+    assert fit.trust.line("delay").text.startswith("not known, 0 ± 2 ms: ±")
     exact = fitted(bare, method="wls", torque_lag_s=0.0)
     half = fit.intervals.reach * np.hypot(exact.intervals.sigma, found.moved)
     np.testing.assert_allclose(fit.intervals.half, half, rtol=1e-9)
@@ -169,7 +169,9 @@ def test_command_delay_and_early_torque():
         replace(lag, by_law_s=lag.value_s + by, found=(lag.value_s, 1e-4 / lag.reach, 99))
         for by in (2e-3, -2e-3)
     )
-    after, before = (trust_in(replace(evidence, lags=(one,))).line("lag") for one in (late, early))
+    after, before = (
+        trust_in(replace(evidence, lags=(one,))).line("delay") for one in (late, early)
+    )
     assert (after.level, before.level) == ("ok", "caution")
     assert "2.00 ± 0.10 samples after the command" in after.text
 
@@ -190,7 +192,7 @@ def test_similar_recordings_share_delay():
     found = {lag.recordings: 1e3 * lag.value_s for lag in two.data.lags}
     assert found == {("A",): pytest.approx(-0.5, abs=0.2), ("B",): pytest.approx(1.5, abs=0.3)}
     # in samples of its recordings
-    assert two.trust.line("lag").value == pytest.approx(0.5 * found[("B",)])
+    assert two.trust.line("delay").value == pytest.approx(0.5 * found[("B",)])
 
 
 @pytest.mark.parametrize(
@@ -348,7 +350,7 @@ def test_law_not_tested_says_why_found_law_is_used():
     torque = with_controller(signals, structure="computed_torque")
     for one, why in ((replace(signals, q_ref=None), "no reference"), (torque, "own model")):
         found = identify_ls(one, Overrides()).trust.line("control law")
-        assert found.level == "not made"
+        assert found.level == "skipped"
         assert why in found.text
     fit = identify(bare, Overrides())
     assert (fit.trust.verdict, fit.controller) == ("trust", "found")
@@ -376,10 +378,10 @@ def test_invisible_delay_assumed_with_advice():
         sound("emps", np.random.default_rng(2)), substeps=1, timing="unknown"
     ).recording(2)
     fit = fit_by_default(replace(signals, q_ref=None))
-    assert (fit.trust.line("lag").level, fit.trust.verdict) == ("cannot tell", "trust")
-    (one,) = (of for of in fit.trust.assumed if of.what == "lag")
+    assert (fit.trust.line("delay").level, fit.trust.verdict) == ("inconclusive", "trust")
+    (one,) = (of for of in fit.trust.assumed if of.what == "delay")
     assert one.value == "0 ± 2 ms"
     assert "half-widths at" in one.why
-    told = fit_by_least_squares(signals).trust.line("lag")
+    told = fit_by_least_squares(signals).trust.line("delay")
     known = "by the described control law" in told.text
     assert known or (told.level == "caution" and "take --method iv" in told.text), told.text

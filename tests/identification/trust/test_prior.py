@@ -53,7 +53,7 @@ def recorded():
 
 def told(signals):
     fit = fit_by_least_squares(signals)
-    line = fit.trust.line("prior")
+    line = fit.trust.line("a priori links")
     assert line.level != "do not use"
     return fit, line
 
@@ -89,13 +89,13 @@ def test_a_priori_torque_where_no_rotor_regrouped():
 def test_forty_percent_link_error_is_no_fault(monkeypatch):
     """No cause is looked for: wrist_3 alone is not told by its links, which need no torque."""
     fit = fitted(recorded())
-    line = fit.trust.line("prior")
+    line = fit.trust.line("a priori links")
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {name for name, *_ in line.figures} == set(TOLD)
     assert all(0.6 < value < 1.5 for _, value, *_ in line.figures)
     monkeypatch.setattr(prior, "cause_by_prior", lambda _: "a cause")
     assert prior.prior_test(fit.data) == line
-    assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
+    assert fit.data.prior_error_percent > 3 * fit.trust.line("cross-validation").value
 
 
 def with_columns(names: str, order=range(6), gain=1.0):
@@ -130,7 +130,7 @@ def test_uniform_a_priori_error_is_no_fault():
     _, line = told(
         replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES))
     )
-    assert line.level == "cannot tell"
+    assert line.level == "inconclusive"
     assert "the prior is off everywhere" in line.text
     line = told(replace(recorded(), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
     said = line.text.startswith("torques are 5 times what the URDF's links need: ")
@@ -151,7 +151,7 @@ def test_no_a_priori_without_gains_or_inertials():
         robot_of(six_joints((0,) * 6), NAMES),
     ):
         fit = fit_by_least_squares(replace(recorded(), robot=robot))
-        assert not any(line.test == "prior" for line in fit.trust.lines)
+        assert not any(line.test == "a priori links" for line in fit.trust.lines)
         assert "| prior |" not in to_markdown(fit_document(fit_file(fit)))
         stored = fit_file(fit)
         assert {stored.prior_source, *(one.prior for one in stored.parameters)} == {msgspec.UNSET}

@@ -52,7 +52,7 @@ def denied() -> tuple[SetUp, Evidence]:
 
 def test_disabled_rotor_named_with_size():
     setup, fit = denied()
-    told = fit.trust.line("added columns")
+    told = fit.trust.line("missing terms")
     assert (told.level, told.finding) == (
         "caution",
         "ratio of joint elbow off, or rotor of joint elbow missing",
@@ -71,7 +71,7 @@ def test_disabled_rotor_named_with_size():
 def test_rotor_not_advised_if_ratio_explains():
     """With the rotor allowed, the ratio is named all the same."""
     setup, fit = denied()
-    line = fit.trust.line("added columns")
+    line = fit.trust.line("missing terms")
     advice = "rotor of joint elbow missing", "rotor_inertia = true"
     assert [text in line.text for text in advice] == [True, False]
     signals = setup.recording(3)
@@ -99,7 +99,7 @@ def test_unseen_zeros_and_rotors_assumed():
     off = fit_by_default(zero.recording(3))
     moved = np.abs(off.estimate.beta - clean("scara").estimate.beta) / off.intervals.half
     assert moved[off.estimate.names.index("MY2")] > 3
-    assert (off.trust.line("added columns").level, assumed(off)["zeros"]) == (
+    assert (off.trust.line("missing terms").level, assumed(off)["zeros"]) == (
         "ok",
         "right at elbow",
     )
@@ -116,12 +116,12 @@ def test_joint_zero_named_in_degrees_or_assumed():
     assert "joint_3" not in assumed(fit).get("zeros", "")
     assert abs(t) > 5
     assert value == pytest.approx(2.0, abs=3 * abs(value / t))
-    assert fit.trust.line("added columns").level == "caution"
+    assert fit.trust.line("missing terms").level == "caution"
 
 
 def test_clock_drift_named():
     fit = fit_by_default(clocks_apart(white("scara"), np.random.default_rng(0)).recording(3))
-    told = fit.trust.line("added columns")
+    told = fit.trust.line("missing terms")
     assert (told.level, told.finding) == ("caution", "clock drift between positions and efforts")
     ((_, value, t),) = figures(fit, "clock drift")
     assert abs(value) == pytest.approx(0.1, rel=0.1)
@@ -145,7 +145,7 @@ def test_time_and_ratio_faults_named_with_size(what, name, kind, found):
     fit = fit_by_least_squares(
         KINDS[what].change(white(name), np.random.default_rng(4)).recording(3)
     )
-    told = fit.trust.line("added columns")
+    told = fit.trust.line("missing terms")
     assert (told.level, told.finding.startswith(kind)) == ("caution", True), told.text
     value, t = max((x[1:] for x in figures(fit, kind)), key=lambda x: abs(x[1]))
     assert abs(t) > 7
@@ -166,17 +166,17 @@ def test_delay_needs_fast_rows_alone(monkeypatch):
     def lag_of_elbow(in_fast_rows: float) -> MissingTerm:
         def of_t(evidence, kind, terms, *, fast):
             with pytest.MonkeyPatch.context() as within:
-                if kind == "lag":
+                if kind == "delay":
                     within.setattr(columns, "orthonormal", of_rows)
                 found = scored(evidence, kind, terms, fast=fast)
             t = in_fast_rows if fast else 6.0
             return [
-                replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x
+                replace(x, t=t, moves=2.0) if x.finding == "delay of joint elbow" else x
                 for x in found
             ]
 
         monkeypatch.setattr(columns, "_scored", of_t)
-        return next(x for x in missing_terms(data) if x.finding == "lag of joint elbow")
+        return next(x for x in missing_terms(data) if x.finding == "delay of joint elbow")
 
     assert lag_of_elbow(5.5).found
     assert not lag_of_elbow(4.0).found
@@ -190,9 +190,9 @@ def test_delay_found_with_frequent_reversals():
     joint has enough.
     """
     fit = fit_by_default(replace(white("scara"), highest_hz=2.0).recording(0))
-    (lag,), line = fit.data.lags, fit.trust.line("lag")
+    (lag,), line = fit.data.lags, fit.trust.line("delay")
     assert (lag.order, fit.trust.verdict) == (2, "trust")
-    assert line.text.endswith("whitened over 2 rows, not 6, as joints reverse often")
+    assert line.text.endswith("whitened over 2 rows, not 6, because joints reverse often")
     assert lag.found[0] == pytest.approx(-0.0005, abs=lag.half_width_s)
     assert lag.half_width_s < 0.0002
 
@@ -204,8 +204,8 @@ def test_late_elbow_named():
         return replace(signals, effort=effort)
 
     fit = fit_by_default(white("scara").changed(late).recording(3))
-    assert fit.trust.finding == "lag of joint elbow"
-    assert figures(fit, "lag")[1][1] == pytest.approx(2.0, abs=0.3)
+    assert fit.trust.lines[0].finding == "delay of joint elbow"
+    assert figures(fit, "delay")[1][1] == pytest.approx(2.0, abs=0.3)
 
 
 def test_terms_same_in_blocks_and_whole(monkeypatch):
@@ -225,6 +225,6 @@ def test_several_recordings_name_brake_by_time_share():
     )
     each = (replace(setup.recording(k), recording=f"r{k}.mcap") for k in (3, 4))
     fit = identify_ls(Recordings(sources=tuple(each)), Overrides())
-    told = fit.trust.line("added columns")
+    told = fit.trust.line("missing terms")
     assert told.finding.startswith(IN_PARTS)
     assert told.finding.endswith(" % of each recording")

@@ -102,7 +102,7 @@ def test_low_rates_converge_under_default_pd():
 @pytest.mark.parametrize(("name", "method", "joint"), [("emps", "wls", 0), ("scara", "iv", 1)])
 def test_wrong_effort_sign_named_with_joint(name, method, joint, request):
     signals = signals_of(SCARA if name == "scara" else request.getfixturevalue("emps"))
-    right = identify(signals, Overrides(), method="ols").trust.line("physical")
+    right = identify(signals, Overrides(), method="ols").trust.line("physical plausibility")
     assert (right.level, right.value > 0) == ("ok", True)
     sign = np.where(np.arange(signals.robot.n) == joint, -1, 1)
     fit = identify(
@@ -111,7 +111,10 @@ def test_wrong_effort_sign_named_with_joint(name, method, joint, request):
     told = f"check the sign of effort and position of joint {signals.robot.joints[joint].name}"
     for part in (told, "below zero", "inertia matrix is not positive"):
         assert any(part in x.text for x in fit.trust.lines if x.level == "do not use")
-    assert (fit.trust.verdict, fit.trust.line("physical").value < 0) == ("do not use", True)
+    assert (fit.trust.verdict, fit.trust.line("physical plausibility").value < 0) == (
+        "do not use",
+        True,
+    )
     assert fit.status in ("solved", "not_confirmed", "diverged")
 
 
@@ -138,7 +141,7 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
     keys = {"test", "level", "value", "text", "case"}
     assert all(keys <= {*line} <= keys | {"finding", "figures", "unit"} for line in severe)
-    assert "physical" in [line["test"] for line in severe]
+    assert "physical plausibility" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)
     assert (status, "of joint elbow" in printed) == (0, True)
 

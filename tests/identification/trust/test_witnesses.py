@@ -19,7 +19,7 @@ def told(monkeypatch, **changed):
     data = clean("scara").data
     lines = {of.test: of for row in WORDS.values() if (of := row.line(data)) is not None}
     for name, changes in changed.items():
-        name = {"held": "held-out blocks", "fixed": "fixed point"}.get(name, name)
+        name = {"held": "cross-validation", "fixed": "convergence"}.get(name, name)
         plain = TrustResult(test=name, level="ok", value=None, text="")
         lines[name] = structs.replace(lines.get(name, plain), **changes)
     rows = {name: replace(WORDS[name], by=lambda _, of=of: of) for name, of in lines.items()}
@@ -35,16 +35,16 @@ NEGATIVE = {
 }
 
 
-@pytest.mark.parametrize("doubt", [{"physical": LOW}, {"consistent": FAR}])
+@pytest.mark.parametrize("doubt", [{"physical plausibility": LOW}, {"physically consistent": FAR}])
 def test_far_from_a_robot_needs_a_witness(monkeypatch, doubt):
     assert told(monkeypatch, **doubt).verdict == "caution"
     for name, witness, named in (
         ("held", {"value": 20.5}, "20 % held out"),
-        ("prior", NEGATIVE, NEGATIVE["finding"]),
+        ("a priori links", NEGATIVE, NEGATIVE["finding"]),
     ):
         both = told(monkeypatch, **doubt, **{name: witness})
-        assert (both.verdict, both.finding) == ("do not use", named)
-        assert named in both.line("physical").text
+        assert (both.verdict, both.lines[0].finding) == ("do not use", named)
+        assert named in both.line("physical plausibility").text
         assert told(monkeypatch, **{name: witness}).verdict == "trust"
     assert told(monkeypatch, **doubt, held={"value": 19.5}).verdict == "caution"
 
@@ -54,9 +54,12 @@ def test_turned_sign_is_a_witness(monkeypatch):
         efforts, "turned_sign", lambda *_: (0.9, "the effort of motor_2 has the wrong sign")
     )
     assert told(monkeypatch).verdict == "trust"
-    assert told(monkeypatch, physical=LOW).finding == "the effort of motor_2 has the wrong sign"
+    assert (
+        told(monkeypatch, **{"physical plausibility": LOW}).lines[0].finding
+        == "the effort of motor_2 has the wrong sign"
+    )
     monkeypatch.setattr(efforts, "turned_sign", lambda *_: (0.97, "another"))
-    assert told(monkeypatch, physical=LOW).verdict == "caution"
+    assert told(monkeypatch, **{"physical plausibility": LOW}).verdict == "caution"
 
 
 @pytest.mark.parametrize("seed", [0, 2])
@@ -64,18 +67,19 @@ def test_two_wrong_signs_make_fit_do_not_use(seed):
     wrong = two_signs(white("scara"), np.random.default_rng(seed))
     fit = fit_by_least_squares(wrong.recording(3))
     assert fit.trust.verdict == "do not use"
-    assert fit.trust.finding.endswith("has the wrong sign")
+    assert fit.trust.lines[0].finding.endswith("has the wrong sign")
 
 
 def test_findings_explain_no_fixed_point(monkeypatch):
-    none = {"level": "do not use", "text": "status diverged: it ran away: check signs, gains"}
+    none = {"level": "do not use", "text": "status diverged: it ran away"}
     rows = {"level": "caution", "text": "", "finding": "1.9 % of the rows missing"}
     both = told(monkeypatch, fixed=none, rows=rows)
     assert (
-        both.line("fixed point").text == "status diverged: it ran away: 1.9 % of the rows missing?"
+        both.line("convergence").text
+        == "status diverged: it ran away. Likely cause: 1.9 % of the rows missing"
     )
-    assert both.finding == "1.9 % of the rows missing"
-    assert told(monkeypatch, fixed=none).line("fixed point").text == none["text"]
+    assert both.lines[0].finding == "1.9 % of the rows missing"
+    assert told(monkeypatch, fixed=none).line("convergence").text == none["text"]
 
 
 def on_one_sine(setup: SetUp, path: Reference, hz: float) -> Reference:
@@ -131,7 +135,7 @@ def test_nonlinear_spring_and_effort_limit_are_named():
         effort = np.array(signals.effort)
         effort[3000] *= 2.0  # one bad sample hides nothing
         fit = fit_by_least_squares(replace(signals, effort=effort))
-        line = fit.trust.line("added columns")
+        line = fit.trust.line("missing terms")
         assert line.level == "caution", line.text
         assert line.finding.startswith(kind), line.text
-    assert fit_by_least_squares(setup.recording(3)).trust.line("added columns").level == "ok"
+    assert fit_by_least_squares(setup.recording(3)).trust.line("missing terms").level == "ok"

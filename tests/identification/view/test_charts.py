@@ -113,14 +113,14 @@ def test_figures_of_tests_have_intervals():
         ("elbow", -0.5, 0.0, 0.0),
     )
     lag = TrustResult(
-        test="lag", level="caution", text="late", value=1.2, unit="samples", figures=figures
+        test="delay", level="caution", text="late", value=1.2, unit="samples", figures=figures
     )
-    made = TrustResult(test="ends", level="ok", text="no outlier", value=-5.0)
+    made = TrustResult(test="outliers", level="ok", text="no outlier", value=-5.0)
     (of_lag,) = trust_charts([lag, made])
     assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
     (of_blocks,) = trust_charts([msgspec.structs.replace(lag, figures=figures[1:])])
     assert of_blocks.legend[0] == ("● value", ORANGE), "without intervals none is named"
-    assert of_lag.title == "lag: caution"
+    assert of_lag.title == "delay: caution"
     assert of_lag.names == [("shoulder", LIGHT), ("elbow", LIGHT)]
     (column,) = of_lag.columns
     assert column.head == "samples"

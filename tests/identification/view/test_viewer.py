@@ -42,7 +42,7 @@ def test_panels_and_data_match(case, written):
         "TimeSeries"
     ] * (5 * n + errors)
     assert file.is_complete()
-    assert "## verdict: " in file.static["/report"]["TextDocument:text"][0]
+    assert "Verdict: " in file.static["/report"]["TextDocument:text"][0]
 
 
 @pytest.mark.parametrize("name", ["two joints, with reference", "one joint"])
@@ -76,8 +76,8 @@ def test_iv_fit_shows_simulated_robot(name, written):
         np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
     text = file.static["/report"]["TextDocument:text"][0]
     for part in (
-        "simulated robot against the recording",
-        "passes from start",
+        "Simulated robot against the recording",
+        "Iterations from start",
         "IV and LS",
         "IV and true",
     ):
