@@ -90,7 +90,7 @@ ADDED_COLUMNS = Words(
     place=160,
     by=added_columns_test,
     advice="Describe it (`friction`, `offset`, `gravity_m_s2`), record it "
-    "([`known_torque`](../../acquisition/docs/import.md)), or remove its cause.",
+    "([`known_torque`](../../acquisition/docs/import.md#maptoml)), or remove its cause.",
     detects="A term that the model lacks (added-variable test): friction (asymmetric, square-root, "
     "load-dependent, Stribeck), offset, drift, a linear or nonlinear spring, a limit of the "
     "effort, a "
