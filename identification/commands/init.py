@@ -142,8 +142,8 @@ def _joint_lines(chain: "Chain") -> Iterator[str]:
     yield from (f"note: {note}" for note in chain.notes)
     if chain.torque_sensors:
         yield (
-            "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque "
-            "includes its rotor"
+            "rotor_inertia = false, because torque sensors do not measure rotors; the torque of a "
+            "motor would include its rotor"
         )
 
 

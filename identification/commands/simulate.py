@@ -41,5 +41,6 @@ def run(options: argparse.Namespace) -> None:
             parse_payload(options.payload, robot) if options.payload else None,
         )
     print_results(
-        f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz"
+        f"{options.out}: simulated recording of {study.duration_s:g} s at "
+        f"{study.sample_rate_hz:g} Hz"
     )

@@ -100,7 +100,7 @@ def _of_robot(options: argparse.Namespace) -> None:
         document,
         lambda: study_file(study, runs, base, true),
         lambda view: [view.draw_study(robot.name, runs, document)],
-        lines=(*border_line(robot), f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"),
+        lines=(*border_line(robot), f"{took_s:.3g} s, {took_s / study.runs:.2g} s per run"),
     )
 
 

@@ -128,4 +128,4 @@ def _follow(options: argparse.Namespace) -> None:
         options.out,
         lambda text: print(f"warning: {text}", file=sys.stderr, flush=True),
     )
-    print_results(f"{path}: the recording has ended and is whole")
+    print_results(f"{path}: the recording has ended and is complete")

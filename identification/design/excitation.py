@@ -314,18 +314,22 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Itera
     """
     if obstacles.missing:
         yield (
-            f"distances not checked: {len(obstacles.missing)} meshes of the URDF are not found, "
-            f"such as {obstacles.missing[0]}; set ROS_PACKAGE_PATH, or describe capsules"
+            f"distances of links are not checked, because {len(obstacles.missing)} meshes of the "
+            f"URDF are missing, such as {obstacles.missing[0]}: set ROS_PACKAGE_PATH, or describe "
+            "capsules"
         )
     if obstacles.near:
         yield (
-            f"distances not checked of pairs always nearer than {MARGIN_M:g} m: "
+            f"distances are not checked for pairs that are always closer than {MARGIN_M:g} m: "
             f"{'; '.join(obstacles.near)}"
         )
     if limits.model is None:
-        yield ("torque not checked: no parameters, neither a fit nor [parameters]")
+        yield "torques are not checked, because there is neither a fit nor [parameters]"
     elif not limits.robot.gain_known:
-        yield ("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
+        yield (
+            "limits in N m or N are not checked, because efforts are in A or V and the drive gains "
+            "are unknown"
+        )
     free = ", ".join(
         joint.name
         for joint, column in zip(limits.robot.joints, limits.effort.directions.T, strict=True)
@@ -333,12 +337,13 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Itera
     )
     if limits.model is not None and free:
         yield (
-            f"torque of joint {free} is not limited: no effort_nm or effort_n, no saturation of "
-            "its motor"
+            f"the torque of joint {free} is not limited, because robot.toml has neither effort_nm "
+            "or effort_n nor a saturation of the motor"
         )
     if mus:
         yield (
-            f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits"
+            f"load-dependent friction ({', '.join(mus)}) counts in the effort limits, but not in "
+            "the expected intervals"
         )
 
 
@@ -349,8 +354,8 @@ def excitation_document(excitation: Excitation) -> Document:
     """
     e, s = excitation, excitation.settings
     return Document(
-        title=f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} "
-        f"harmonics up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}",
+        title=f"{e.robot.name}: reference of {s.periods} periods of {s.period_s:g} s, "
+        f"{s.harmonics} harmonics up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}",
         sections=(
             _interval_section(e).with_short_table(np.argsort(-e.half).tolist()),
             _limit_section(e),
@@ -363,7 +368,7 @@ def _interval_section(e: Excitation) -> Section:
     table = Table(
         columns=(
             *columns("parameter", numbers=("value",) if e.beta is not None else ()),
-            *columns(numbers=("±95 %", "plain\n±95 %", "times\nsmaller")),
+            *columns(numbers=("95 %\nhalf-width", "of plain\nreferences", "ratio")),
             *columns("unit"),
         ),
         rows=tuple(
@@ -379,23 +384,21 @@ def _interval_section(e: Excitation) -> Section:
         ),
     )
     gains = [
-        f"{motor.name} ±{percent:.2g} %" if percent < 100 else f"{motor.name} not"
+        f"{motor.name} {percent:.2g} %" if percent < 100 else f"{motor.name} not identifiable"
         for motor, percent in zip(e.robot.motors, e.gains, strict=False)  # none without a payload
     ]
     lines = (
-        f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference "
-        "(median), at least "
-        f"{smaller.min():.2f} times",
-        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with "
-        f"{min(HARMONICS, e.settings.harmonics)} harmonics and the same "
-        "share of all limits",
+        f"ratio of intervals, plain to this reference: median {np.median(smaller):.2f}, smallest "
+        f"{smaller.min():.2f}",
+        f"plain references: geometric mean of {PLAIN_REFERENCES} random ones with "
+        f"{min(HARMONICS, e.settings.harmonics)} harmonics and the same share of all limits",
         f"torque noise per row of the fit: {', '.join(f'{x:.3g}' for x in e.noise)} "
         f"({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
-        "torque unknown" if e.beta is None else f"torque from {e.knowledge.beta_from}",
+        f"parameters for the torque: {'none' if e.beta is None else e.knowledge.beta_from}",
         *(
             (
-                f"drive gains by a run without and a run with {payload}: {', '.join(gains)}; "
-                "expected by this noise",
+                f"expected 95 % half-widths of drive gains, from a run without and a run with "
+                f"{payload}: {', '.join(gains)}",
             )
             if payload is not None
             else ()
@@ -416,10 +419,10 @@ def _limit_section(e: Excitation) -> Section:
         for name, percent in efforts.items()
     ]
     return Section(
-        title="limits in use, % of the whole limit",
+        title="used share of the limits, %",
         table=Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(rows)),
         lines=()
         if e.nearest is None
-        else (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",),
+        else (f"smallest distance: {e.nearest[1]}, {e.nearest[0]:.3f} m",),
         warnings=e.warnings,
     )

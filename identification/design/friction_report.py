@@ -49,13 +49,15 @@ def friction_document(choice: TermChoice) -> Document:
     """
     usual, chosen = choice.usual, choice.recommended
     errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms" + (
-        f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
+        f", {chosen.held_out_error_percent:.2f} % with the selected ones"
         if chosen is not usual
         else ""
     )
     table = Table(
         columns=(
-            *columns("added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")),
+            *columns(
+                "added terms", numbers=("number", "fitted, %", "held out, %", "relative\nscore")
+            ),
             *columns(""),
         ),
         rows=tuple(
@@ -65,7 +67,7 @@ def friction_document(choice: TermChoice) -> Document:
                 Number(trial.fitted_error_percent, ".2f"),
                 Number(trial.held_out_error_percent, ".2f"),
                 Number(trial.score / usual.score if usual.score > 0 else None, ".3f"),
-                "recommended" if trial is chosen else "usual" if trial is usual else "",
+                "selected" if trial is chosen else "usual" if trial is usual else "",
             )
             for trial in choice.trials
         ),
@@ -80,12 +82,14 @@ def friction_document(choice: TermChoice) -> Document:
                 table=table,
                 lines=(
                     f"held out: {', '.join(names) or 'fifths of the recording'}, each predicted by "
-                    "the fit of the others; score: squared weighted residual",
+                    "the fit of the others",
+                    "relative score: sum of squared weighted residuals, divided by that of the "
+                    "usual terms",
                 ),
                 warnings=choice.left_out,
             ),
             Section(
-                title="recommended, for robot.toml",
+                title="selected terms, for robot.toml",
                 lines=tuple(
                     f"friction = {json.dumps(terms)} # {name}"
                     for name, terms in choice.described.items()

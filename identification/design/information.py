@@ -152,9 +152,9 @@ def torque_noise(
     are known.
     """
     if knowledge.noise is not None:
-        return knowledge.noise, "as stated"
+        return knowledge.noise, "as given"
     if model is None:
-        return np.ones(robot.n), "1 N m or N for each joint, assumed"
+        return np.ones(robot.n), "assumed as 1 N m or N for each joint"
     rms = np.sqrt(
         np.mean(np.concatenate([model.torque(*motion) for motion in motions]) ** 2, axis=0)
     )

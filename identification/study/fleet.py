@@ -215,7 +215,7 @@ def fleet_document(rows: Sequence[FleetRow]) -> Document:
     """
     table = Table(
         columns=(
-            *columns("start, UTC", "recording", "status", "verdict", numbers=("torque error %",)),
+            *columns("start, UTC", "recording", "status", "verdict", numbers=("torque\nerror, %",)),
             *columns("changed"),
         ),
         rows=tuple(

@@ -73,7 +73,7 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
         {"rad" if joint.type == "revolute" else "m": None for joint in robot.joints}
     )
     variants = [
-        Variant(changed="none", to="the rules"),
+        Variant(changed="none", to="default settings"),
         *(
             Variant(changed="cut-off", to=to, overrides=Overrides(cutoff_hz=x * robot.bandwidth_hz))
             for to, x in CUTOFFS.items()
@@ -163,7 +163,12 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         for shown in [[Number(x if fit.values else None, ".2g") for x in largest[k]]]
     ]
     values = Table(
-        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")),
+        columns=columns(
+            "parameter",
+            "changed",
+            "to",
+            numbers=("LS", "95 %\nhalf-width", "IV", "95 %\nhalf-width"),
+        ),
         rows=tuple(
             # with the digits that the interval of IV leaves
             (
@@ -180,20 +185,19 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     worst = fits[k := int(largest[:, 0].argmax())].variant
 
     heads = (
-        *columns("changed", "to", numbers=("LS moves",)),
-        *columns("at", numbers=("own", "IV moves")),
-        *columns("at", numbers=("own", "passes")),
-        *columns("iv ended"),
+        *columns("changed", "to", numbers=("change\nof LS",)),
+        *columns("of", numbers=("own", "change\nof IV")),
+        *columns("of", numbers=("own", "iterations")),
+        *columns("status of iv"),
     )
     lines = (
-        "moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest "
-        f"of {len(names)} essential "
-        "parameters; own: in half-widths of the variant's own interval of the method",
-        "position noise is added to the recording, after the control loop; start: inertias of a "
-        "regular start",
+        f"change: the largest of {len(names)} essential parameters from the fit with the default "
+        "settings, in its 95 % half-widths of IV; own: in half-widths of the changed fit",
+        "position noise is added to the recording, that is, outside the control loop; start: "
+        "initial inertias of all links, kg m² or kg",
     )
     return Document(
-        title=f"{recording}: LS moves by up to {largest[k, 0]:.2g} half-widths with "
+        title=f"{recording}: LS changes by up to {largest[k, 0]:.2g} half-widths with "
         f"{worst.changed} {worst.to}, IV by {largest[k, 1]:.2g}",
         sections=(
             Section(table=Table(columns=heads, rows=tuple(rows)), lines=lines),

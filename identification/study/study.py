@@ -34,7 +34,7 @@ from .simulated_cell import Noise, closed_loop, random_reference, study_truth, w
 FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
 METHODS = (("wls", "ls"), ("iv", "iv"))  # and the field of a `Run`
 # Headings and formats of the fields of a `Summary`, in their order.
-HEADINGS = ("runs", "bias %", "coverage %", "spread /\ninterval", "trust", "false trust")
+HEADINGS = ("runs", "bias, %", "coverage, %", "spread /\nhalf-width", "trust", "false\ntrust")
 FORMATS = ("d", ".3f", ".1f", ".2f", "d", "d")
 
 
@@ -269,11 +269,9 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     ]
     lines = (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
-        f"{study.seed}; cell: "
-        f"{study.noise.text}; of iv, converged runs only",
-        f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} "
-        "half-widths off "
-        f"or M is not positive: {', '.join(false) or 'no run'}",
+        f"{study.seed}; noise: {study.noise.text}; of iv only runs that converged",
+        "false trust: the verdict is trust, but the error of an essential parameter is greater "
+        f"than {FALSE_TRUST:g} half-widths, or M is not positive: {', '.join(false) or 'no run'}",
     )
     return Document(
         title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)
@@ -294,7 +292,7 @@ def border_line(robot: Robot) -> tuple[str, ...]:
         )
         if not skip and not name.startswith("Off")
     ]
-    text = f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}"
+    text = f"0 or missing in [parameters], unlike in a real robot: {', '.join(names)}"
     return (text,) if names else ()
 
 
@@ -338,7 +336,7 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
             Section(table=table).with_short_table(
                 sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k]), 20
             ),
-            Section(title="joints, by the number at the end of a name", table=joints),
+            Section(title="joints by the number at the end of names", table=joints),
         ),
     )
 

@@ -258,7 +258,13 @@ def column_plots(signals: Signals) -> list[Plot]:
             of_joints,
             [f"{j.position_unit}/s" for j in robot.joints],
         ),
-        ("known_torque", "known torque", signals.known_torque, of_joints, list(robot.effort_units)),
+        (
+            "known_torque",
+            "external torque",
+            signals.known_torque,
+            of_joints,
+            list(robot.effort_units),
+        ),
         (
             "feedforward",
             "feed-forward",

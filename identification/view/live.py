@@ -216,8 +216,8 @@ class LivePage:
             if health.counters.get("sched_fifo") == 0.0 and not self._warned:
                 self._warned = True
                 warn(
-                    "the session runs without SCHED_FIFO: a viewer on this machine may delay it; "
-                    "use another machine"
+                    "the session runs without SCHED_FIFO, so that a viewer on this machine may "
+                    "delay it: use another machine"
                 )
         if follower.rows is not None:
             self._add_rows(follower.rows)
@@ -345,7 +345,7 @@ class LivePage:
         left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
         words = [
             *(
-                ["THE FILE HAS STOPPED GROWING: what is shown is old"]
+                ["THE FILE HAS STOPPED GROWING: these data are old"]
                 if stalled and not self.over
                 else []
             ),

@@ -41,7 +41,7 @@ def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
         fit.problem.model if fit else InverseModel(signals.robot),
         robots,
         signals.q,
-        "robot measured, in blue simulated" if len(robots) > 1 else "robot measured",
+        "measured robot, simulated robot in blue" if len(robots) > 1 else "measured robot",
     )
 
 

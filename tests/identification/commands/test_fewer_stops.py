@@ -42,7 +42,7 @@ def test_study_reports_run_time_and_zeros(capsys, tmp_path):
     assert line.endswith("Fc2")
     said = answer(capsys, "study", robot, "--runs", "1", "--duration-s", "2", "--workers", "1")
     assert line in said
-    assert said.endswith(" s a run\n")
+    assert said.endswith(" s per run\n")
 
 
 def test_edited_description_beside_recording(capsys, tmp_path):

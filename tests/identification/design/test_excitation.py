@@ -358,12 +358,15 @@ def test_excess_gravity_refused():
         excite(robot, ExcitationSettings(), prior_information(robot), "here")
 
 
-NOT_CHECKED = "torque not checked: no parameters, neither a fit nor [parameters]"
+NOT_CHECKED = "torques are not checked, because there is neither a fit nor [parameters]"
 NOT_LIMITED = (
-    "torque of joint shoulder, elbow is not limited: no effort_nm or effort_n, no saturation "
-    "of its motor"
+    "the torque of joint shoulder, elbow is not limited, because robot.toml has neither effort_nm "
+    "or effort_n nor a saturation of the motor"
 )
-LEFT_OUT = "load friction (mu1, mu2) is not in the criterion, but in the effort limits"
+LEFT_OUT = (
+    "load-dependent friction (mu1, mu2) counts in the effort limits, but not in the expected "
+    "intervals"
+)
 
 
 @pytest.mark.parametrize(
@@ -456,8 +459,8 @@ def test_command_writes_reference(tmp_path, capsys):
     assert main(["excite", str(toml), "-o", str(out), *options]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     for part in (
-        "SCARA: reference of 2 x 3 s, 3 harmonics up to 1 Hz, seed 1",
-        "times smaller than with the plain reference (median)",
+        "SCARA: reference of 2 periods of 3 s, 3 harmonics up to 1 Hz, seed 1",
+        "ratio of intervals, plain to this reference: median ",
         "20 random ones with 3 harmonics and the same share of all limits",
     ):
         assert part in printed
@@ -554,7 +557,7 @@ def test_link_distance_holds_between_samples(monkeypatch, base_m, seed, stays):
     free = bent(unchecked(monkeypatch, robot, settings), base_m).min()
     assert apart == free if stays else free < 0
     assert found.nearest == (pytest.approx(apart, abs=1e-3), "base and link of b")
-    told = f"nearest: base and link of b, {found.nearest[0]:.3f} m apart"
+    told = f"smallest distance: base and link of b, {found.nearest[0]:.3f} m"
     assert excitation_document(found).sections[1].lines == (told,)
     assert found.used.max() <= 0.8 + 1e-6
 
@@ -681,8 +684,10 @@ def test_payload_reference_keeps_both_effort_limits():
     assert without < carrying
     assert 0.9 * 32 < carrying <= 0.8 * 40
     expected, limits = excitation_document(found).sections
-    told = "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
-    assert expected.lines[-1].startswith(told)
+    assert (
+        "drive gains, from a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
+        in (expected.lines[-1])
+    )
     assert [row[0] for row in limits.table.rows][-2:] == [
         "shoulder with the payload",
         "elbow with the payload",

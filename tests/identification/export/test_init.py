@@ -216,8 +216,8 @@ def test_existing_file_kept_urdf_found_from_output(here, capsys):
     status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
     assert (
-        "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes "
-        "its rotor" in out
+        "rotor_inertia = false, because torque sensors do not measure rotors; the torque of a "
+        "motor would include its rotor" in out
     )
 
 

@@ -61,7 +61,7 @@ def test_each_variant_changes_one_thing():
     work = Tasks({"M1": (1.0, 0.1, 1.0, 0.1)})
     vary(RecordingFile.at(SCARA), (1e-6, 2e-6), work)
     rules, *variants = work.variants
-    assert rules == Variant(changed="none", to="the rules")
+    assert rules == Variant(changed="none", to="default settings")
     cutoffs = [v.overrides.cutoff_hz for v in variants if v.changed == "cut-off"]
     assert cutoffs == [12.5, 50.0, 0.0], "of a bandwidth of 5 Hz"
     assert [v.overrides.decimation for v in variants if v.changed == "decimation"] == [20, 80], (
@@ -79,7 +79,7 @@ def test_each_variant_changes_one_thing():
 
 
 def test_noise_and_settings_reach_fit(tmp_path):
-    rules, source = Variant(changed="none", to="the rules"), RecordingFile.at(SCARA)
+    rules, source = Variant(changed="none", to="default settings"), RecordingFile.at(SCARA)
     starts = [fit_variant(source, replace(rules, start=start)) for start in (None, 1000.0)]
     assert 0 < changes_of(starts, "ZZ1R")[1][1] < 1e-3
     source = RecordingFile.at(short_recording(tmp_path / "short.mcap", SCARA))
@@ -100,7 +100,7 @@ def test_noise_and_settings_reach_fit(tmp_path):
 
 def made_up():
     rules = VariedFit(
-        variant=Variant(changed="none", to="the rules"),
+        variant=Variant(changed="none", to="default settings"),
         ended="converged",
         values={
             "M1": (10.0, 2.0, 10.5, 0.5),
@@ -129,7 +129,7 @@ def test_changes_in_half_widths_of_default_iv():
     )
     document = sensitivity_document("log.mcap", fits)
     assert document.title == (
-        "log.mcap: LS moves by up to 8 half-widths with position noise 1e-05 m rms, IV by 0.75"
+        "log.mcap: LS changes by up to 8 half-widths with position noise 1e-05 m rms, IV by 0.75"
     )
     cut, noise = (
         [x if isinstance(x, str) else x.text for x in row]
@@ -179,7 +179,8 @@ def test_mass_over_noise_plot_of_both_methods():
 
 def test_simulated_recording_has_true_values():
     fit = fit_variant(
-        RecordingFile.at(REPLAY / "emps" / "session.mcap"), Variant(changed="none", to="the rules")
+        RecordingFile.at(REPLAY / "emps" / "session.mcap"),
+        Variant(changed="none", to="default settings"),
     )
     assert fit.known == ("true", {"M1": 95.1089, "Fv1": 203.5034, "Fc1": 20.3935, "Off1": -3.1648})
     assert fit.units["M1"] == "kg"

@@ -170,7 +170,7 @@ def test_commands_write_report(name, tmp_path, capsys, monkeypatch):
     assert page.all("svg")
     assert page.all("h1")
     if name == "sensitivity":
-        said = lines[0].startswith("log.mcap: LS moves by up to "), "ZZ1R ± 95 %" in text
+        said = lines[0].startswith("log.mcap: LS changes by up to "), "ZZ1R ± 95 %" in text
         assert (*said, len(lines) <= 40) == (True, True, True)
 
 

@@ -194,7 +194,7 @@ def test_extra_columns_on_signal_view():
     whole = replace(plain, **columns)
     joints, motors = [j.name for j in robot.joints], [m.name for m in robot.motors]
     plots = column_plots(whole)
-    assert [plot.title for plot in plots[:2]] == ["velocity measured", "known torque"]
+    assert [plot.title for plot in plots[:2]] == ["velocity measured", "external torque"]
     assert [curve.name for curve in plots[0].curves] == [
         f"{joints[0]} [rad/s]",
         f"{joints[1]} [m/s]",
@@ -208,7 +208,7 @@ def test_extra_columns_on_signal_view():
             assert x.max() == columns[name][:, c].max()
     alike = made_up(types=("revolute", "revolute"))
     only, other = column_plots(replace(alike, known_torque=alike.q, feedforward=alike.q))
-    assert (only.path, only.title) == (("column", "known_torque"), "known torque [N m]")
+    assert (only.path, only.title) == (("column", "known_torque"), "external torque [N m]")
     assert other.title == f"feed-forward [{alike.robot.motors[0].recorded_unit}]"
     for signals, shown in ((whole, 3), (plain, 0)):
         (page,) = (
