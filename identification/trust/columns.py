@@ -91,19 +91,15 @@ ADDED_COLUMNS = Words(
     by=added_columns_test,
     advice="Describe it (`friction`, `offset`, `gravity_m_s2`), record it "
     "([`known_torque`](../../acquisition/docs/import.md#maptoml)), or remove its cause.",
-    detects="A term that the model lacks (added-variable test): friction (asymmetric, square-root, "
-    "load-dependent, Stribeck), offset, drift, a linear or nonlinear spring, a limit of the "
-    "effort, a "
-    "disabled rotor inertia, base tilt, a joint zero offset, gain, ratio or delay of one joint "
-    "against the others, clock drift between positions and efforts, a drifting torque constant or "
-    "friction, hysteresis (Dahl), friction of a sixth of the time. Delays and clocks are tested in "
-    "fast rows only. A term that explains as much at the same joint is named too: a wrong ratio "
-    "resembles a rotor inertia",
+    detects="A term that the model lacks (added-variable test): friction terms, offset, drift, "
+    "springs, "
+    "an effort limit, a disabled rotor inertia, base tilt, joint zero offsets, gain, ratio or "
+    "delay of one joint, clock drift, hysteresis. A term that explains as much at the same joint "
+    "is named too",
     limit="`caution`: t is above 5, and the term explains more than 2 % of the residual variance "
     "(10 % "
-    "for a spring where gravity acts on no link, and for friction of a part of the time). A delay "
-    "counts if it changes an essential parameter by more than one half-width, clock drift by "
-    "either",
+    "for a lone spring or a part of the time). A delay counts if it changes an essential "
+    "parameter by more than one half-width",
     cases={
         "every term": Case("skipped", "the model has every term that is tried"),
         "missing": Case("caution", "{strongest}{more}", "{each}.", "{finding}"),

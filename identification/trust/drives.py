@@ -96,9 +96,10 @@ LAG = Words(
     detects="The delay of the recorded torque after the motion. The fit [estimates and corrects "
     "it](method.md#delay-of-the-torque), and the intervals include it",
     limit="`caution`: the recorded reference does not show it, and its uncertainty changes an "
-    "essential parameter by more than one half-width; a torque comes before its command; or the "
-    "data differ from a given `torque_lag_s` at t > 4. `inconclusive`: without a reference it is "
-    "assumed, and the intervals include it",
+    "essential "
+    "parameter by more than one half-width; a torque comes before its command; or a given "
+    "`torque_lag_s` differs from the data at t > 4. `inconclusive`: it is assumed, for lack of a "
+    "reference",
     cases={
         "contradicted": Case(
             "caution",
@@ -245,16 +246,12 @@ LAW = Words(
     place=120,
     of_data=True,
     advice="Check rated value, ratio, sample rate and `[controller]`.",
-    detects="A difference between given gains and the Kp, Kd, Ki that least squares estimates from "
-    "reference, position and effort, with their intervals. The delay of the reference is estimated "
-    "too, but not judged; the drive gain is on both sides and is not tested. Without a given "
-    "control "
-    "law the estimated one is reported, and the simulated robot uses it, if at most 2 % of the "
-    "effort remains at every motor, Kp and Kd are positive, and every structure that does not "
-    "contain it leaves 1.5 times as much at some motor",
-    limit="`do not use`: all gains are negative with 2 % of the effort left. `caution`: a gain "
-    "differs by 1 % more than its interval, another structure fits better, or 5 % of the effort is "
-    "left",
+    detects="Given gains that differ from the Kp, Kd, Ki estimated from reference, position and "
+    "effort. "
+    "Without a given control law, the estimated one is reported and simulated if it explains 98 % "
+    "of the effort at every motor",
+    limit="`do not use`: all gains are negative. `caution`: a gain differs by 1 % more than its "
+    "interval, another structure fits better, or 5 % of the effort is left",
     cases={
         "no reference": Case("skipped", "the recording has no reference"),
         "computed torque": Case("skipped", "computed torque depends on the robot's own model"),
@@ -337,10 +334,9 @@ SATURATION = Words(
     of_data=True,
     advice="Set `saturation` of the motor.",
     detects="Drives that saturate at a limit that is not given, if control law or simulated robot "
-    "are not confirmed: more than 1 % of their efforts are within 2 to 8 % of the largest, and "
-    "three "
-    "times as many as in each of the next two ranges of this width",
-    limit="`do not use`: the iterations do not converge. `caution`: they do. Not printed otherwise",
+    "are not "
+    "confirmed",
+    limit="`do not use`: the iterations do not converge. `caution`: they do",
     cases={
         "no fixed point": Case("do not use", "{limits}", "Set saturation of the motor.", "{first}"),
         "not confirmed": Case("caution", "{limits}", "Set saturation of the motor.", "{first}"),

@@ -60,12 +60,12 @@ SIGNS = Words(
     by=signs_and_order_test,
     of_data=True,
     advice="Correct columns and signs in `map.toml`, and import again.",
-    detects="Swapped efforts of two motors or joints, and wrong signs of efforts or positions. If "
+    detects="Swapped efforts, and wrong signs of efforts or positions. Each such mistake is undone "
+    "in "
+    "turn if a torque error is more than 5 %, or if a motor absorbs power",
+    limit="`do not use`: undoing it leaves at most half of the torque error (95 % for the sign of "
     "a "
-    "joint's torque error is more than 5 %, or a motor absorbs power over the recording, each such "
-    "mistake is undone and least squares is solved again",
-    limit="`do not use`: undoing a mistake leaves at most half of the torque error (95 % for the "
-    "sign of a motor that absorbs power). Not printed otherwise",
+    "motor that absorbs power)",
     cases={
         "mistake": Case(
             "do not use",
@@ -210,8 +210,7 @@ POSITIONS = Words(
     of_data=True,
     advice="Check whether the positions are radians that were declared as degrees.",
     detects="Positions that look like radians declared as degrees",
-    limit="`caution`: revolute joints move within 1/57 of their limits, and one of them over a "
-    "tenth of its range if its radians were degrees. Not printed otherwise",
+    limit="`caution`: revolute joints move within 1/57 of their limits",
     cases={
         "radians": Case(
             "caution",
@@ -235,10 +234,10 @@ EFFORT = Words(
     by=effort_test,
     of_data=True,
     advice="Check drive gain, ratio and unit, or correct the limit.",
-    detects="Recorded efforts above their limit (`effort_nm`, `effort_n`, the URDF's `effort`, "
-    "`saturation`). Rated values, which drives exceed for seconds, and the range of the recorded "
-    "object are not limits. Skipped with `--gains`",
-    limit="`caution`: at least 20 % above it. Not printed otherwise",
+    detects="Recorded efforts above `effort_nm`, `effort_n`, `saturation` or the URDF's `effort`. "
+    "Skipped "
+    "with `--gains`",
+    limit="`caution`: at least 20 % above",
     cases={
         "beyond": Case(
             "caution",

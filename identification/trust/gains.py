@@ -70,9 +70,9 @@ GAINS = Words(
     advice="Check which recording has the payload, and its mass.",
     detects="With `--gains` only: drive gains that are negative, not well determined, or all wrong "
     "by one factor",
-    limit="`do not use`: a drive gain is negative, or no half-width is below 50 %. `caution`: no "
-    "half-width is below 10 %, or all gains differ from the given ones by one factor of more than "
-    "10 %",
+    limit="`do not use`: a drive gain is negative, or no half-width is below 50 %. `caution`: none "
+    "is "
+    "below 10 %, or all gains differ from the given ones by one factor of more than 10 %",
     cases={
         "all negative": Case(
             "do not use",
@@ -166,11 +166,9 @@ CENTRE_OF_MASS = Words(
     by=centre_of_mass_test,
     of_data=True,
     advice="Measure it again, or give a larger `center_half_width_m`.",
-    detects="With a given centre of mass only: its distance from the centre of mass that the "
-    "recordings alone show",
-    limit="`caution`: outside the 95 % region of the given value and the data together "
-    "(Hotelling's "
-    "F). The given value is then not used",
+    detects="With a given centre of mass only: its distance from the estimated one",
+    limit="`caution`: outside the 95 % region of both (Hotelling's F); the given value is then not "
+    "used",
     cases={
         "differs": Case(
             "caution",

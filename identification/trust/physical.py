@@ -82,20 +82,15 @@ PHYSICAL = Words(
     place=70,
     by=physical_test,
     advice="Check what the finding names, the driver's definition of effort, and `gravity_m_s2`.",
-    detects="An inertia matrix M that is not positive on the trajectory, and negative friction or "
-    "rotor inertia. Joints that share motors are tested together: the viscous matrix, and Coulomb "
-    "power at its corners (Fc5 + Fcm6, Fc6 + Fcm6, Fc5 + Fc6 of the TX40). With further friction "
-    "terms, the power is tested at some 300 recorded speeds. Also torques that a model without "
-    "gravity fits better: they lack the robot's weight",
-    limit="`do not use`: a value is more than two half-widths below zero, or two of a joint more "
-    "than "
-    "one each; or the parameters are far from a physically consistent model (M not positive, or "
-    "chi² "
-    "above three times its limit) and a second sign confirms this: a negative factor of the a "
-    "priori "
-    "links, a sign whose reversal leaves 95 % of the error, or a held-out error above 20 %. "
-    "`caution`: M is less far below zero, or friction by more than 1.4 half-widths; or a model "
-    "without gravity leaves less than 90 % of the residual",
+    detects="An inertia matrix M that is not positive, negative friction or rotor inertia, and "
+    "torques "
+    "that a model without gravity fits better. Joints that share motors are tested together (Fc5 "
+    "+ Fcm6 of the TX40); further friction terms by their power at recorded speeds",
+    limit="`do not use`: a value is more than two half-widths below zero; or the parameters are "
+    "far "
+    "from a physically consistent model and a second sign confirms this, such as a reversed "
+    "effort or a held-out error above 20 %. `caution`: M is less far below zero, or friction by "
+    "more than 1.4 half-widths",
     cases={
         "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
         "impossible": Case("do not use", "{what}", _TERMS),
@@ -330,11 +325,7 @@ CONSISTENT = Words(
     place=180,
     by=consistent_test,
     advice="Check signs, units and frames.",
-    detects="The distance to the nearest physically consistent model: chi² over all parameters, "
-    "and "
-    "the largest change in half-widths of the 95 % interval; as for `--consistent` with its "
-    "default "
-    "prior",
+    detects="The distance chi² to the nearest physically consistent model",
     limit="`caution`: further than noise explains (0.1 % level)",
     cases={
         "unknown gains": Case(

@@ -93,14 +93,10 @@ PRIOR = Words(
     advice="Check drive gain, ratio, units and order of columns, then the URDF.",
     detects="A joint torque that differs from that of the links in the URDF or `[parameters]`, if "
     "gains are known: the factor between them, with rotor and friction fitted too",
-    limit="`caution`: a factor is below 0.5 or above 2 outside its interval, where these links "
-    "explain a quarter of what is not rotor or friction; or correcting a mistake lets these links "
-    "explain the torque far better: swapped columns, positions in other units or of another sign, "
-    "a "
-    "zero wrong by 90 or 180 degrees, gravity along another axis; or factors are near 0 at every "
-    "joint, so the efforts lack the links' torque. `inconclusive`: all factors are outside, "
-    "without "
-    "a common one. Never `do not use`",
+    limit="`caution`: a factor is below 0.5 or above 2, outside its interval; correcting a mistake "
+    "(swapped columns, units, a sign, a zero, gravity) lets these links explain the torque far "
+    "better; or all factors are near 0. `inconclusive`: all factors are outside. Never `do not "
+    "use`",
     cases={
         "cause": Case(
             "caution",

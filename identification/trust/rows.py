@@ -36,7 +36,7 @@ MOTION = Words(
     of_data=True,
     advice="Record a motion of this joint.",
     detects="Joints that do not move in any recording",
-    limit="`caution`: there is such a joint, so its friction values do not apply in motion",
+    limit="`caution`: there is one; its friction values do not apply in motion",
     cases={
         "standing": Case(
             "caution",
@@ -91,13 +91,12 @@ ROWS = Words(
     by=rows_test,
     of_data=True,
     advice="Record timestamps or a row counter, and record again.",
-    detects="Missing or repeated rows: position steps that are twice the median of their four "
-    "neighbours, or zero, with a robust z-score above 10",
-    limit="`caution`: more than 0.1 % of the rows in motion are missing or repeated. `ok`: [rows "
-    "that were not measured](#rows-and-filters) have zero weight; or double steps next to zero "
-    "steps show that the encoder is slower than the log, or that its counts are coarse. Not "
-    "printed "
-    "otherwise",
+    detects="Missing or repeated rows: position steps that are double or zero, with a robust "
+    "z-score "
+    "above 10",
+    limit="`caution`: more than 0.1 % of the rows in motion. `ok`: [unmeasured "
+    "rows](#rows-and-filters) "
+    "have zero weight, or the encoder is slower than the log",
     cases={
         "lost": Case(
             "caution",

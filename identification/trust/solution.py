@@ -39,9 +39,9 @@ FIXED_POINT = Words(
     test="convergence",
     place=60,
     advice="Check signs, gains and `bandwidth_hz`, or record faster motion.",
-    detects="Iterations of iv that do not converge, or converge to a solution that the simulated "
-    "robot does not confirm. With instruments from the reference nothing is simulated, and the "
-    "solution is unique, as for least squares",
+    detects="Iterations of iv that do not converge, or to a solution that the simulated robot does "
+    "not "
+    "confirm",
     limit="`do not use`: the iterations do not converge. `caution`: the simulated robot does not "
     "confirm the solution",
     cases={
@@ -67,10 +67,9 @@ POSITION_NOISE = Words(
     place=220,
     of_data=True,
     advice="Use `--method iv`, which needs the reference.",
-    detects="Bias of least squares by position noise, in half-widths. Noise with the spectrum seen "
-    "above the low-pass (white, or falling with frequency as AR(1)) is added to the position with "
-    "both signs; the mean of the two changes is the bias. A large bias is underestimated. At most "
-    "three minutes of a recording are used",
+    detects="Bias of least squares by position noise: noise with the spectrum seen above the "
+    "low-pass is "
+    "added, and the change of the estimate counts. A large bias is underestimated",
     limit="`caution`: more than one half-width and 1 % of an essential parameter, or half of one "
     "and "
     "5 %",
@@ -150,8 +149,7 @@ UNITS = Words(
     place=80,
     by=units_test,
     advice="Set `drive_gain`.",
-    detects="Joints that share a parameter although their drive gains, and therefore the units of "
-    "their torques, are not known",
+    detects="Joints that share a parameter although their drive gains are not known",
     limit="`do not use`: there are such joints",
     cases={
         "known": Case("ok", "torques of all joints are in known units"),
@@ -228,9 +226,9 @@ EXCITATION = Words(
     place=140,
     by=excitation_test,
     advice="Record a more varied motion: `excite` designs one.",
-    detects="Motion that hardly excites a combination of the essential parameters: condition "
-    "number "
-    "of their scaled columns, with the parameters of the worst direction",
+    detects="Motion that hardly excites a combination of the essential parameters, by the "
+    "condition "
+    "number of their scaled columns",
     limit="`caution`: above 50 (a motion of five sines has 7 to 11, a single sine 80 to 100)",
     cases={
         "hardly": Case(
@@ -282,8 +280,7 @@ HALVES = Words(
     place=130,
     by=halves_test,
     advice="Warm the robot up, and look for changes with time.",
-    detects="Torque that changes with time: the two halves, fitted separately, give different "
-    "parameters",
+    detects="Torque that changes with time, so that the two halves give different parameters",
     limit="`caution`: a Wald test at 0.1 %",
     cases={
         "undetermined": Case(

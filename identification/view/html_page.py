@@ -62,6 +62,8 @@ def write_html(path: Path, picture: Picture) -> None:
         '<meta name="viewport" content="width=device-width, initial-scale=1"><meta '
         'name="color-scheme" content="light dark">',
         f""
+        f""
+        f""
         f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
         to_html(
             picture.document.short,
