@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import Location
 
 MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # formats that viewers read
-MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
+MAX_MESH_BYTES = 64 * 2**20  # of all meshes of a robot together
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
@@ -26,7 +26,8 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
     at = Location(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")
-    except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
+    # An unknown encoding raises ValueError or LookupError.
+    except (ET.ParseError, ValueError, LookupError) as error:
         at.refuse("urdf", text=f"the file is not valid XML: {error}")
     meshes, size = dict[str, bytes](), 0
     for name in dict.fromkeys(

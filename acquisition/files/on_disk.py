@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-# of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
+# Larger arrays go to disk. An hour of six joints at 500 Hz has about five of them, which do not fit
+# in 1 GB.
 MAX_BYTES_IN_MEMORY = 2**26
-BLOCK_ROWS = 100_000  # of an array that are processed at a time
+BLOCK_ROWS = 100_000  # rows of an array that are processed at a time
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -54,7 +55,8 @@ def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) 
     if many * size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile() as file:
-        # A file with holes would end the process where the disk becomes full.
+        # If the disk becomes full, writing to a file with holes would kill the process, so the
+        # space is allocated first.
         os.posix_fallocate(file.fileno(), 0, size)
         return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
 

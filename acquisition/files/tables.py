@@ -16,13 +16,15 @@ from ..arrays import Array
 from ..errors import BadInputError, Location, listed
 from .whole import atomic_write, read_bytes
 
-MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
-# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows
-# in MATLAB's notation.
+# Masses, lengths and inertias of robots are larger than this in SI, so smaller numbers are
+# rounding.
+MAX_ROUNDING = 1e-18
+# A variable or a field, with optional columns or rows in MATLAB's notation: `data.q`, `q(:,2)`,
+# `data.q(1:6,:)`.
 _NAME = re.compile(
     r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?"
 )
-# A cell with a decimal point: commas in the same table are no decimal ones.
+# If a cell has a decimal point, commas in the same table are not decimal ones.
 _POINT = re.compile(r"(?:^|[;\t ])[-+]?\d*\.\d+(?:e[-+]?\d+)?(?:[;\t ]|$)", re.IGNORECASE)
 
 
@@ -140,20 +142,24 @@ def _parse_csv(
     Returns the names, whether there is a header, the separator (None: blanks), and the rows with
     their line numbers. Decimal commas become points.
     """
-    text = data.decode(  # UTF-16 has a byte order mark
+    # UTF-16 files have a byte order mark.
+    text = data.decode(
         "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig", errors="replace"
     )
     if "\N{REPLACEMENT CHARACTER}" in text:
-        text = data.decode("cp1252", errors="replace")  # Windows in western Europe
+        # Windows in western Europe writes this encoding.
+        text = data.decode("cp1252", errors="replace")
     text = text.replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     place.require(lines, text="the file is empty")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
-        del lines[0]  # a remark above the header
+        # The first line is a remark above the header.
+        del lines[0]
     scope = [
         i for i, (_, line) in enumerate(lines) if line.startswith(("Name\t", "Name;", "Name,"))
     ]
-    # TwinCAT Scope: names of the project and of the channels, and other texts on them
+    # An export of TwinCAT Scope begins with names of the project and of the channels, and other
+    # texts about them.
     if len(scope) == 2:
         k, names_of_channels = lines[scope[1]]
         lines = [
@@ -165,7 +171,7 @@ def _parse_csv(
     rows = [lines[0], *((k, line) for k, line in lines[1:] if not line.startswith("#"))]
     if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows[1:]):
         rows = [(k, line.replace(",", ".")) for k, line in rows]
-    # A text above a number is of a header; one above a text may be the name of a joint.
+    # A text above a number belongs to a header; a text above a text may be the name of a joint.
     below = next((line for _, line in rows[1:] if _has_numbers(line)), "").split(separator)
     above = rows[0][1].lstrip("# \t").split(separator)
     has_header = any(
@@ -178,10 +184,12 @@ def _parse_csv(
     ]
     rows = rows[has_header or first != lines[0][1] :]
     while has_header and len(rows) > 1 and not _has_numbers(rows[0][1]):
-        del rows[0]  # of units or types
+        # This row below the header has units or types.
+        del rows[0]
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
-        if found != len(names):  # of each of many lines: no message is made before
+        # This runs for each of many lines, so the message is only made for a wrong one.
+        if found != len(names):
             Location(f"{place}: line {k}").refuse(
                 text=f"it has {found} cells, but line {lines[0][0]}, the column names, has "
                 f"{len(names)}",
@@ -202,7 +210,8 @@ def _csv_columns(
             [line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None
         )
     except (ValueError, OverflowError, IndexError) as error:
-        for k, line in rows:  # slow, but only for an error that names the cell
+        # This loop is slow, but it only runs for an error, to name the cell.
+        for k, line in rows:
             cells = line.split(separator)
             for column, label in zip(chosen, labels, strict=True):
                 Location(f"{place}: line {k}").given(
@@ -249,8 +258,8 @@ def _mat_columns(
     data: bytes, names: Sequence[str | int], count: int, place: Location
 ) -> tuple[Array, list[str]]:
     """Return the named parts of a MAT file as columns (N, count), and a label for each column."""
-    # Matrices may be samples by joints or joints by samples: the number of samples is the one that
-    # gives all parts the same length and `count` columns in all.
+    # Matrices may be samples by joints or joints by samples. The number of samples is the one for
+    # which all parts have the same length and `count` columns in all.
     matches = [_NAME.fullmatch(str(name)) for name in names]
     variables = _load(data, place, [match["path"].split(".")[0] for match in matches if match])
     parts = []
@@ -293,11 +302,13 @@ def _load(data: bytes, place: Location, names: Sequence[str] | None = None) -> d
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # warnings about variables that are not read
+            # scipy warns about variables that are not read.
+            warnings.simplefilter("ignore")
             return dict(
                 scipy.io.loadmat(io.BytesIO(data), variable_names=names and [*dict.fromkeys(names)])
             )
-    except Exception as error:  # scipy raises errors of any kind on a damaged file
+    # For a damaged file, scipy raises errors of any kind.
+    except Exception as error:
         place.refuse(text=f"the MAT file cannot be read: {error or type(error).__name__}")
 
 
@@ -366,7 +377,8 @@ def _present(data: bytes, place: Location) -> str:
     """Return the names of a file's variables and of the fields of its structs, for an error."""
     try:
         return listed([*_leaves(_load(data, place))])
-    except BadInputError:  # scipy cannot skip objects of MATLAB's classes
+    # scipy cannot skip objects of MATLAB's classes.
+    except BadInputError:
         return "the variables of the file (not listed, because one of them is an object)"
 
 
@@ -393,7 +405,7 @@ def _scan_mat(data: bytes, rows: int, place: Location) -> list[TableColumn]:
     numbers = {name: np.atleast_2d(x) for name, x in leaves.items() if x.dtype.kind in "fiu"}
     lengths = [max(x.shape) for x in numbers.values() if x.ndim == 2]
     length = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
-    # The name of the only variable says nothing of its columns.
+    # The name of the only variable does not describe its columns.
     only = len({name.partition(".")[0] for name in leaves}) == 1
     sides = {
         name: x.shape.index(length)

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from ..errors import Location
 
-NAMES = {  # of what is read and written here
+# The names of the kinds that the packages read and write.
+NAMES = {
     "mcap": "a recording",
     "rrd": "a Rerun file",
     "parquet": "a Parquet table",
@@ -25,7 +26,7 @@ NAMES = {  # of what is read and written here
     "md": "a Markdown report",
     "": "a file of another kind",
 }
-# How they begin. The endings do not matter: a package.json is not a fit.
+# The first bytes of each kind. Endings do not matter: a package.json is not a fit.
 _XML = rb"(?s)(?:\xef\xbb\xbf)?\s*(?>(?:<\?.*?\?>|<!--.*?-->)\s*)*+"
 _BEGINNINGS = {
     "mcap": rb"\x89MCAP",
@@ -37,9 +38,10 @@ _BEGINNINGS = {
     "mjcf": _XML + rb"<mujoco",
     "urdf": _XML + rb"<robot(?![^>]*xacro)",
     "toml": rb"(?m)(?s:.*?)^[ \t]*(\[\[[ \t]*joint[ \t]*\]\]|joint[ \t]*=)",
-    "md": rb"# ",  # also a remark of TOML
+    # A comment of TOML begins in this way, too, so this comes last.
+    "md": rb"# ",
 }
-_HEAD_BYTES = 1 << 20  # a comment may stand above
+_HEAD_BYTES = 1 << 20  # a long comment may be at the beginning
 
 
 def read_bytes(path: Path) -> bytes:
@@ -86,7 +88,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     place.require(path.name, text="the path has no file name")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        # Renaming onto /dev/null would replace the device.
+        # Renaming the partial file to /dev/null would replace the device.
         place.require(
             not path.exists() or path.is_file(),
             text="a folder or a device cannot be replaced by a file",
@@ -100,7 +102,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         place.refuse(text=f"the file cannot be written: {error.strerror or error}")
     finally:
-        # the folder may be missing or be a file: reported by the error above
+        # If the folder is missing or is a file, the error above has reported it.
         with suppress(OSError):
             partial.unlink()
 
@@ -172,8 +174,10 @@ def _refuse_other_kind(path: Path, kind: str) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
-    if os.path.realpath(a) == os.path.realpath(b):  # also for a loop of links
+    # This comparison also works for a loop of links, which cannot be opened.
+    if os.path.realpath(a) == os.path.realpath(b):
         return True
-    with suppress(OSError):  # a missing file is reported when it is read
+    # A missing file is reported when it is read.
+    with suppress(OSError):
         return a.samefile(b)
     return False

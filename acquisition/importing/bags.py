@@ -27,10 +27,10 @@ from .time_base import (
 
 SUFFIXES = (".mcap", ".db3")
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
-# What the bytes of all its versions begin with: position is that of `reference`, which older
-# ones call `desired`.
+# The bytes of all its versions begin with this; position is that of `reference`, which older
+# versions call `desired`.
 BEGIN = "std_msgs/Header header\nstring[] name\nfloat64[] position"
-# What to do about a reader's error.
+# The advice for an error of a reader, by words in its message.
 _WAYS_OUT = (
     ("metadata|YAML|Some database files", "Repair the folder: `ros2 bag reindex FOLDER`"),
     (
@@ -46,7 +46,8 @@ _WAYS_OUT = (
 def is_bag(path: Path) -> bool:
     """Test for a ROS 2 bag: a folder, .db3, or .mcap with the profile of ROS 2."""
     if path.suffix.lower() == ".mcap" and path.is_file():
-        with path.open("rb") as file:  # magic, op code and length of the header, its profile
+        # The file begins with a magic, op code and length of the header, and its profile.
+        with path.open("rb") as file:
             return b"ros2" in file.read(32)
     return path.is_dir() or path.suffix.lower() == ".db3"
 
@@ -234,7 +235,8 @@ def _effort(
         COMMAND_LINE,
     )
     at_joint = all(unit in ("N m", "N") for unit in units)
-    if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
+    # One unit for all joints means a force in N where a joint slides.
+    if at_joint and len(effort_unit) == 1:
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
     side = effort_side(robot, units, "joint" if at_joint else "motor", "effort_unit", COMMAND_LINE)
     what = f"{', '.join(effort_unit)} at the {side}"
@@ -303,7 +305,8 @@ def _read(
                         states.refused = error
     except BadInputError:
         raise
-    except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
+    # For a damaged file, readers and SQLite raise errors of any kind.
+    except Exception as error:
         told = (getattr(error, "strerror", None) or str(error) or type(error).__name__)[:200]
         Location(str(path)).refuse(
             text=f"the bag cannot be read"

@@ -24,16 +24,18 @@ _RECORDS = {
     for x in "<>"
     for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
-_INTERFACE, _ENHANCED, _RESOLUTION = 1, 6, 9  # types of blocks, option of an interface
+_INTERFACE, _ENHANCED, _RESOLUTION = 1, 6, 9  # types of two blocks, and an option of an interface
 _ETHERNET = 1  # link type
 PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 2**18, _ETHERNET)
 _AT_ONCE = 2**21  # bytes
-_MAX_PACKET, _MAX_BLOCK = 2**18, 2**24  # bytes: more is damage
+_MAX_PACKET, _MAX_BLOCK = 2**18, 2**24  # bytes; a larger size is damage
 _VLAN, _IP, _ETHERCAT, _UDP, _PORT = (0x8100, 0x88A8), 0x0800, 0x88A4, 17, 34980
 _HEAD = np.dtype(
     [("command", "u1"), ("index", "u1"), ("address", "<u4"), ("length", "<u2"), ("event", "<u2")]
 )
-_MARGIN = 128  # bytes: no header is further from the first byte of a packet
+# No header is more bytes away from the first byte of a packet, so reading at it stays in the
+# buffer.
+_MARGIN = 128
 _FOUND = np.dtype([("packet", "<i8"), ("at", "<i8"), *_HEAD.descr, ("counter", "<u2")])
 
 APWR, FPRD, BWR, WRITES = 2, 4, 8, (2, 5, 8)  # commands
@@ -42,7 +44,7 @@ _STATION, _FMMUS, _MANAGERS, _END, MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  
 _FMMU = struct.Struct("<IHBBHBBB3x")
 _MAIL = struct.Struct("<5xBH8s")  # type; CoE service; SDO
 _COE, _SERVICES = 3, (2, 3)  # CoE: requests, and aborts; answers
-Entries: TypeAlias = Sequence[tuple[Key, int]]  # objects and their bits, in their order
+Entries: TypeAlias = Sequence[tuple[Key, int]]  # objects and their bits, in order
 Located: TypeAlias = Mapping[Key, tuple[int, int]]  # logical address and bytes by object
 Way: TypeAlias = tuple[int, int, int]  # sync manager, object with its PDOs, bit of an FMMU's type
 INPUTS: Way = (3, 0x1C13, 1)
@@ -101,7 +103,7 @@ def packets(
     """
     data, at, before = file.read(24), 0, 0
     order, ns = _RECORDS.get(data[:4], ("<", 0))
-    interfaces: list[int] = []  # ticks per second, 0 of others than Ethernet
+    interfaces: list[int] = []  # ticks per second; 0 if it is not Ethernet
     place.require(
         len(data) >= 24 and (ns or data[:4] == _BLOCKS),
         text="the file is not a capture",
@@ -114,7 +116,8 @@ def packets(
             text=f"the capture has the link type {link}, not 1 (Ethernet)",
             advice="Capture on the network interface, not on 'any'",
         )
-    problem, later = "", np.zeros((0, 3), np.int64)  # packets that others may come before
+    # Packets not yet read may precede these later ones.
+    problem, later = "", np.zeros((0, 3), np.int64)
     while not problem:
         new, found = file.read(_AT_ONCE), list[tuple[int, int, int]]()
         used = int(later[:, 1].min(initial=at))
@@ -314,7 +317,7 @@ class Slaves:
         self.answered |= first
         rewritten = service == REQUEST and self.written[station].take(service, sdo)
         confirmed = self.confirmed[station].take(service, sdo)
-        # With the first answer what was written so far does not count any more.
+        # From the first answer on, only confirmed objects count, not what was written so far.
         return confirmed or (first and bool(self.written)) or (rewritten and not self.answered)
 
     def _entries(self, station: int, way: Way) -> Entries:

@@ -31,7 +31,8 @@ KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 EFFORTS = ("torque", "current", "effort")
 UR, FRANKA = "UR RTDE", "libfranka"
-MAKERS = {  # by names that no other has
+# Makers by names of columns that only they use.
+MAKERS = {
     UR: r"^actual_q_\d",
     FRANKA: r"(^|\.)tau_J[\[_]\d",
     "ROS, REP 103": r"joint_states|controller_state"
@@ -61,7 +62,8 @@ UNITS = {
     "o/oo": "per mille",
 }
 TOKEN = re.compile(r"[^\W\d_]+|\d+")
-UNIT = re.compile(  # in brackets, or a word or sign
+# A unit is in brackets, or a word or a sign of its own.
+UNIT = re.compile(
     r"[\[(]([^\])\d]+)[\])]"
     r"|(?<![a-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![a-z])"
     r"|(?<=[\d\s_])([°‰])(?=[\s_]|$)",

@@ -41,11 +41,12 @@ from .ethercat import MAPPING_NOTE, import_capture
 from .stamps import ONE_CLOCK, steps_back
 from .time_base import ImportSummary
 
-# Times that begin again from 0 after so many ns.
+# Time counters of loggers wrap after so many ns.
 _WRAPS = {60 * 10**9: "a minute", 2**32 * 1000: "2^32 µs", 86_400 * 10**9: "a day"}
-_MAX_WRAP_NS = 10**9  # between the times before and after a wrap
-_MAX_SET_NS, _MAX_SET_SHARE = 60 * 10**9, 0.8  # of the times so far: more is another session
-_MAX_ECHO = 0.25  # periods between the two records of one frame
+_MAX_WRAP_NS = 10**9  # largest time between the frames before and after a wrap
+# A clock that steps back by more, or by a larger share of the time so far, begins another session.
+_MAX_SET_NS, _MAX_SET_SHARE = 60 * 10**9, 0.8
+_MAX_ECHO = 0.25  # largest time between the two records of one frame, in periods
 
 
 def import_recording(
@@ -85,7 +86,7 @@ def import_recording(
     frames = max(recording.frames.values(), key=len)
     decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
     header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
-    # Warnings are those of the decoding before.
+    # The recorded warnings are those of an earlier decoding, so they are not copied.
     with rewritten(recording, header, out, without="warning") as writer:
         decoded.write(writer, end_ns)
     return ImportSummary(out=out, warnings=decoded.warnings)
@@ -159,7 +160,8 @@ def import_log(
         )
         with log.open("rb") as file:
             return import_capture(file, header, bus, Location(str(log)), out)
-    described = robot.bus or resolve(robot, place).file  # refuses a robot without a bus
+    # For a robot without a bus, this raises the error.
+    described = robot.bus or resolve(robot, place).file
     frames, left_out = _select_interface(log, described.channel)
     frames, told = _in_order(frames, described, str(log))
     decoded = _decode_checked(frames, robot, str(log), place, left_out + told)
@@ -269,7 +271,8 @@ def _echoes(frames: Block, bus: BusFile) -> Ints:
     some = frames[rows]
     some["time_ns"] = 0
     some["flags"] |= SENT
-    order = np.argsort(some.view(f"V{FRAME.itemsize}"), kind="stable")  # equal ones by time
+    # A stable sort keeps equal frames in the order of time.
+    order = np.argsort(some.view(f"V{FRAME.itemsize}"), kind="stable")
     rows, some = rows[order], some[order]
     again = (
         (np.diff(frames["time_ns"][rows]) < _MAX_ECHO * 1e9 * bus.sync_period_s)

@@ -47,10 +47,12 @@ from .process_data import (
 )
 from .time_base import ImportSummary
 
-_MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
-_MIN_SHARE = 0.5  # of the rows: with fewer there is no reference
-_LATE = 15  # rows: what delays more of them lasts
-MAPPING_NOTE = "ethercat_mapping"  # of the metadata
+# Clocks differ by less than this, so a measured period this near to that in robot.toml is equal to
+# it.
+_MAX_CLOCK_ERROR = 2e-4
+_MIN_SHARE = 0.5  # of the rows; with fewer targets there is no reference
+_LATE = 15  # a delay of more rows is a lasting one
+MAPPING_NOTE = "ethercat_mapping"  # key of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
@@ -84,7 +86,8 @@ def _numbers(
     late = (time_ns - time_ns[0]) / period_ns - k
     on_time = minimum_ahead(late, _LATE)
     steps = np.diff(on_time)
-    steps[np.abs(steps) < MAX_OFF] = 0.0  # drift of the clocks
+    # Small steps are the drift of the clocks.
+    steps[np.abs(steps) < MAX_OFF] = 0.0
     level, breaks = (
         np.concatenate([[0], np.cumsum(x)])
         for x in (steps, np.abs(steps - np.rint(steps)) > MAX_OFF)
@@ -103,7 +106,8 @@ def _numbers(
         & (near | delayed)
         & ~(delayed[before] | delayed[after])
     )
-    certain[1:] &= certain[:-1] | (steps > 1 - MAX_OFF)  # else it may be a row too many
+    # A row that follows an uncertain one too early may be an additional row.
+    certain[1:] &= certain[:-1] | (steps > 1 - MAX_OFF)
     return k + level[before], certain, missing
 
 
@@ -197,7 +201,8 @@ def _on_grid(
     if len(rows) < 4:
         process.refuse_no_rows()
     time_ns = field_of(rows, "clock_ns" if clock else "stamp_ns")
-    if clock and time_ns.max() < 2**32:  # what is above 32 bits is by the capture
+    # Clocks of 32 bits wrap; the time of the capture gives the higher bits.
+    if clock and time_ns.max() < 2**32:
         since = field_of(rows, "stamp_ns")
         time_ns = since + (time_ns - time_ns[0] - since + since[0] + 2**31) % 2**32 - 2**31
         del since
@@ -209,7 +214,8 @@ def _on_grid(
     start_ns = int(
         np.median(time_ns - np.rint(number * period_ns).astype(np.int64), overwrite_input=True)
     )
-    del time_ns  # large in a long capture
+    # This array is large in a long capture, and not needed any more.
+    del time_ns
     known = np.concatenate([some["known"].copy() for some in in_parts(rows)])
     has_reference = bool(known.mean() > _MIN_SHARE)
     certain[1:] &= (np.diff(number) == 1) & certain[:-1] & known[:-1] | (not has_reference)
@@ -219,7 +225,8 @@ def _on_grid(
     if len(chosen) < 2:
         process.refuse_no_rows()
     number = number[chosen]
-    uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
+    # The first row has no target, because there is no row before it.
+    uncertain = len(rows) - len(chosen) - has_reference
     warnings += holding(
         {
             "no reference is imported: the targets are not mapped, or frames to the slaves were "

@@ -16,14 +16,19 @@ from ..files import by_rows, taken
 from .stamps import smallest_difference
 from .time_base import POSITION, GridValues, interpolate, resample, roundest_rate_hz
 
-MAX_NEW = 0.85  # of the rows in which the robot is fast, in a log that is faster than its robot
-MIN_QUANTA = 3.0  # that a position steps by, typically, where it is new
-AHEAD = 8  # rows to each side, over which speeds are compared
-MAX_PAUSE = 2.5  # usual steps between new rows: a longer one is a pause, or has lost rows
-FIRST, TRIED = 1000, (0.95, 1.4)  # rows in which a rate is sought; tried, times their mean rate
-MAX_RATE = 0.95  # of the log's: a source above it is the log
-MAX_LATE = 0.8  # of the source's period, between the rows that are seen latest and earliest
-MAX_ODD = 0.05  # of the changes of a quantity where no position is new: it is held alike
+# In a log that is faster than its robot, at most this share of the rows with fast motion is new.
+MAX_NEW = 0.85
+MIN_QUANTA = 3.0  # typical step of a new position, in quanta
+AHEAD = 8  # rows to each side over which speeds are compared
+# A step of more usual ones between new rows is a pause, or has lost rows.
+MAX_PAUSE = 2.5
+# The rate is sought in so many rows, within this range of multiples of their mean rate.
+FIRST, TRIED = 1000, (0.95, 1.4)
+MAX_RATE = 0.95  # of the rate of the log; a faster source is the log itself
+# The delays of a regular source differ by at most this share of its period.
+MAX_LATE = 0.8
+# A quantity is held like the positions if at most this share of its changes is where none is new.
+MAX_ODD = 0.05
 
 
 def grid_of_new_rows(
@@ -98,7 +103,8 @@ def _times_of_source(seen_s: Array, log_s: float) -> tuple[Array, float]:
     until_s = float(since[min(FIRST, len(since) - 1)])
     early = since[since <= until_s]
     tried_hz = mean_hz * np.arange(*TRIED, 0.1 / (mean_hz * until_s))
-    tried_hz = tried_hz[tried_hz < MAX_RATE / log_s]  # which all rows have in common
+    # All rows are in phase at the rate of the log itself, so it is not tried.
+    tried_hz = tried_hz[tried_hz < MAX_RATE / log_s]
     hz = float(tried_hz[np.argmax([abs(np.exp(2j * np.pi * f * early).sum()) for f in tried_hz])])
     while True:
         early = since[since <= until_s]

@@ -11,16 +11,17 @@ from ..files import BLOCK_ROWS, GrowingBytes, by_rows
 from .stamps import smallest_difference
 
 KINDS = ("position", "velocity", "effort")
-# of the messages, besides one: a controller that starts again may name joints in another order,
-# two publishers change it all the time
+# A controller that starts again may name joints in another order, but two publishers change it all
+# the time. So one change is accepted, and this share of the messages.
 MAX_CHANGES = 1e-3
 WINDOW = 16  # rows; a divisor of `BLOCK_ROWS`
-# of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
+# Noise and motion rarely exceed this ratio of the energies at the Nyquist frequency and at half of
+# it.
 MIN_NYQUIST_RATIO = 100.0
-# of the windows, of the rows; more are of two publishers
+# Larger shares of the windows, or of the rows, show two publishers.
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01
 ONE_PUBLISHER = "Record the topic of the arm's own driver, or stop the other publisher"
-MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
+MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers, in quanta
 
 
 class JointStates:
@@ -39,7 +40,8 @@ class JointStates:
                 *((kind, "<f8", (len(joints),)) for kind in KINDS),
             ]
         )
-        # Rows of `_layout`: messages as Python objects are six times as large.
+        # Messages are stored as rows of `_layout`, because Python objects take six times the
+        # memory.
         self._rows, self._without = GrowingBytes(), np.full(len(joints), np.nan).tobytes()
         self._given = dict.fromkeys(KINDS, 0)
         self.count, self._others, self._changes, self.publishers = 0, 0, 0, 1
@@ -112,7 +114,7 @@ class JointStates:
         )
         stamps, count = rows["stamp"].astype(np.int64), len(rows)
         received = not stamps.any()
-        # a clock that begins at 0 gives the first stamp 0
+        # A clock that begins at 0 gives the first timestamp 0.
         if not received and not stamps[1:].all():
             Location(f"{self.place}: state {2 + int(np.argmin(stamps[1:] != 0))}").refuse(
                 text="its header has no timestamp, but other headers have one",
@@ -126,7 +128,7 @@ class JointStates:
             )
         arrays = {kind: rows[kind] for kind, given in self._given.items() if given}
         needed = {kind: x for kind, x in arrays.items() if kind != "velocity"}
-        # where none is known, the first one is refused
+        # If no row has all values, the first one is refused below.
         first = int(np.argmin(np.any([np.isnan(x).any(axis=1) for x in needed.values()], axis=0)))
         for kind, x in needed.items():
             _refuse_infinite(kind, x, first, self._joints, self.place)
@@ -215,7 +217,8 @@ def _alternating_share(x: Array) -> Array:
         ),
         np.zeros(x.shape[1]),
     )
-    return np.maximum(found - 2, 0) / max(1, rows // WINDOW)  # two may be chance
+    # Two such windows may be random.
+    return np.maximum(found - 2, 0) / max(1, rows // WINDOW)
 
 
 def _alternating(x: Array, least: Array) -> Array:

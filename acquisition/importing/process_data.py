@@ -29,20 +29,23 @@ from .captures import (
 )
 from .stamps import ONE_CLOCK, steps_back
 
-MAX_OFF = 0.25  # of a period: what is nearer belongs together
-# rows of a segment, and those before and after it on which it may depend
+# Datagrams nearer than this share of a period belong together.
+MAX_OFF = 0.25
+# The rows of a segment, and the rows before and after it on which it may depend.
 AT_ONCE, MARGIN = 2**17, 2**10
-MAX_BACK = 5  # periods: packets out of order; a longer step back is one of the clock
-_CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
-_ORDER = 15  # stamps before and after one that must not contradict it
-_MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
+# Packets may be out of order by so many periods; a longer step back is one of the clock.
+MAX_BACK = 5
+# The register of the system time of distributed clocks, and the commands ARMW and FRMW.
+_CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)
+_ORDER = 15  # a timestamp must fit so many before and after it
+_MIN_SHARE = 0.01  # of the rows; a working counter in fewer is damage
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 _MAPPING = (
     "Capture from the start of the bus, or give all inputs of each slave in bus order, such as "
     "0x6041:16,0x6064:32,0x6077:16, with gaps as 0:BITS"
 )
 
-# by quantity and drive: byte in a part, and type
+# The byte in a part and the type, by quantity and drive.
 Fields: TypeAlias = dict[tuple[str, int], tuple[int, str]]
 
 
@@ -62,7 +65,8 @@ class ProcessData:
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Location) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
-        self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, or went out
+        # The slaves are known by datagrams that came back (True), and by those that went out.
+        self._slaves = {True: Slaves(), False: Slaves()}
         self._fields: dict[Part, Fields] = {}
         self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
@@ -79,7 +83,8 @@ class ProcessData:
             content = given.data[one["at"] : one["at"] + one["length"]].tobytes()
             back = bool(one["counter"])
             if self._slaves[back].take(int(one["command"]), int(one["address"]), content) and back:
-                self._since = self._packets + int(one["packet"])  # rows before a change are dropped
+                # Rows before a change are dropped, because their meaning was another one.
+                self._since = self._packets + int(one["packet"])
                 self._fields, self._columns, self._seen = {}, {}, {}
         process = found[
             np.isin(found["command"], (LRD, LWR, LRW))
@@ -148,7 +153,8 @@ class ProcessData:
         self._why = "no mapping of inputs was captured"
         try:
             objects = self._objects()
-        except ValueError as error:  # the master may not have written all of it yet
+        # The master may not have written the whole mapping yet.
+        except ValueError as error:
             self._why = str(error)
             return {}
         inputs, outputs = dict[Part, Fields](), dict[Part, Fields]()
@@ -265,7 +271,7 @@ class ProcessData:
         }
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
         clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
-        # the stamps do not tell when later rows came, distributed clocks do
+        # After a step back of the clock, only distributed clocks show when later rows came.
         for _, by_ns, since_ns in () if clock else steps_back(field_of(main, "time_ns")):
             self._place.require(
                 by_ns <= MAX_BACK * self._bus.period_ns,
@@ -276,7 +282,8 @@ class ProcessData:
         for first in range(0, len(main), AT_ONCE):
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
             near = dict[Part, Block]()
-            for part, rows in parts.items():  # a bisection reads few of the others
+            # A bisection reads only few of the other rows.
+            for part, rows in parts.items():
                 low, high = (
                     bisect_left(rows, packet, key=lambda row: int(row["packet"]))
                     for packet in (begin, end)

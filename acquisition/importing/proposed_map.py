@@ -21,12 +21,14 @@ from .stamps import bursts
 from .time_base import roundest, roundest_rate_hz
 
 _UNWRAP = "\nunwrap = true # angles jump by a turn"
-TORQUE_SENSORS = "torque sensors behind the gears"
-ROWS = 1000  # that the proposal looks at
-MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of a table
-MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
-MAX_UNEVEN, MIN_EVEN = 0.1, 0.9  # of steps of an unnamed time, and the share of such steps
-MIN_MOTION = 1e-2  # of a position that moves, in any unit
+TORQUE_SENSORS = "joint torque sensors"
+ROWS = 1000  # rows that the proposal reads
+MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # usual rates of tables
+# Larger positions are those of a motor, or counts.
+MAX_TURN_DEG = 720.0
+# In a column of times without a name, this share of the steps deviates by less than this part.
+MAX_UNEVEN, MIN_EVEN = 0.1, 0.9
+MIN_MOTION = 1e-2  # smallest motion of a position, in any unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +79,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     unit = _position_unit(position, robot, maker, turn)
     lines = [
         f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does "
-        "not say.",
+        "not show.",
         *([] if any(c.name for c in scanned) else _ranges(table, columns, scanned)),
         *time,
         "[position]",
@@ -90,7 +92,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     if reference and position and not _moves_as(_values(reference, turn), q):
         reference, why = (
             [],
-            f"is it a reference? It does not move as the position: {_keys(reference)}",
+            f"is it a reference? It does not follow the position: {_keys(reference)}",
         )
     if reference or why:
         lines += [
@@ -162,7 +164,8 @@ def _columns(
                 advice="Give each joint a column of its own, or rename a column of other names",
             )
         if "current" in words and {"position", "velocity"} & {*words}:
-            words["measured"] = words.pop("current")  # the current position, of now
+            # The current position is the measured one, not a current.
+            words["measured"] = words.pop("current")
         other = maker == FRANKA and (
             {"cmd", "theta"} & {*tokens} or column.name in [c.name for c in scanned[:k]]
         )
@@ -227,7 +230,7 @@ def _one_per_joint(
     return _first(
         (not chosen, f"which columns, in the order of the joints? {keys}" if several else ""),
         (not by_name and span != len(numbered), f"numbers are missing: {keys}"),
-        (any(labels.count(label) > 1 for label in chosen), f"a number is there twice: {keys}"),
+        (any(labels.count(label) > 1 for label in chosen), f"a number occurs twice: {keys}"),
         (
             robot and len(chosen) != robot.n,
             f"{robot and robot.n} joints in robot.toml, and {len(chosen)} columns: {keys}",
@@ -277,9 +280,9 @@ def _turn(table: Path, columns: Sequence[_Column]) -> float:
 
 def _listed(columns: Sequence[_Column], why: str) -> str:
     if not columns:
-        return f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
+        return f'columns = ["{FILL_IN}"] # {why or "no column has a matching name"}'
     words = dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind)
-    return f"columns = {_keys(columns)} # by the names: {', '.join(words)}"
+    return f"columns = {_keys(columns)} # from the names: {', '.join(words)}"
 
 
 def _first(*rules: tuple[object, str]) -> str:
@@ -295,9 +298,9 @@ def _stated(columns: Sequence[_Column], otherwise: str) -> str:
         ({*units} <= {"None"}, otherwise),
         (
             len(known) > 1 or None in known,
-            f'unit = "{FILL_IN}" # the header says {", ".join(units)}',
+            f'unit = "{FILL_IN}" # the header has {", ".join(units)}',
         ),
-        (True, f'unit = "{next(iter(known), "")}" # the header says so'),
+        (True, f'unit = "{next(iter(known), "")}" # from the header'),
     )
 
 
@@ -317,9 +320,9 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, 
             (not at_joint, f'unit = "{FILL_IN}" # rad, deg, m, ...{each}'),
             (
                 2 * np.pi < largest <= MAX_TURN_DEG,
-                f'unit = "deg" # values to {largest:.4g} are beyond 2 pi',
+                f'unit = "deg" # values up to {largest:.4g} exceed 2 pi',
             ),
-            (True, f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'),
+            (True, f'unit = "{FILL_IN}" # rad or deg? Values are up to {largest:.4g}'),
         ),
     )
 
@@ -327,8 +330,8 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, 
 def _side(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
     words = {word for c in columns for pair in c.words.items() for word in pair}
     return _first(
-        ("motor" in words, 'side = "motor" # by the names'),
-        (maker or words & {"joint", *AT_JOINT}, f'side = "joint" # {maker or "by the names"}'),
+        ("motor" in words, 'side = "motor" # from the names'),
+        (maker or words & {"joint", *AT_JOINT}, f'side = "joint" # {maker or "from the names"}'),
         (
             robot and np.array_equal(robot.R, np.eye(robot.n)),
             'side = "joint" # robot.toml has no ratios',
@@ -343,15 +346,15 @@ def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
     unit = _first(
         (ur, 'unit = "A" # UR RTDE'),
         (franka, 'unit = "N m" # libfranka'),
-        (True, _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')),
+        (True, _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... see the manual')),
     )
     of_motors = re.match(r'unit = "(m?[AV]|%|per mille|‰)"', unit) or "current" in kinds
     return [
         unit,
         _first(
-            (ur, 'side = "motor" # UR RTDE: of the joints\' motors'),
+            (ur, 'side = "motor" # UR RTDE: currents of the motors'),
             (franka, f'side = "joint" # libfranka: {TORQUE_SENSORS}'),
-            (of_motors, 'side = "motor" # as all currents, voltages and percentages of a rating'),
+            (of_motors, 'side = "motor" # currents, voltages and percentages are of motors'),
             (True, f'side = "{FILL_IN}" # motor or joint'),
         ),
     ]
@@ -370,7 +373,8 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     found = found or [
         c
         for c in growing
-        if not c.name  # a counter grows by 1
+        # Without a name, a column that grows by 1 is a counter, not a time.
+        if not c.name
         and (steps := np.diff(read_columns(table, [c.key], 1)[:, 0])).min() > 0
         and (typical := np.median(steps)) != 1
         and np.mean(np.abs(steps / typical - 1) < MAX_UNEVEN) > MIN_EVEN
@@ -392,15 +396,16 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     rate_hz = 1 / (period * TIME_UNITS[fits[0]])
     lines.append(
         f'unit = "{fits[0]}" # the rate is then {rate_hz:.6g} '
-        f"Hz{', the header says so' * bool(stated)}"
+        f"Hz{', from the header' * bool(stated)}"
     )
     time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
     steps, (step_s, between_s) = np.diff(time_s), bursts(time_s)
     if (np.abs(steps * rate_hz - 1) > 0.1).any():
         grid_hz, why = roundest_rate_hz(time_s[np.append(True, steps > 0)]), "the steps are uneven"
-        if between_s:  # within the drift that an import allows
+        # The rounding stays within the drift that an import accepts.
+        if between_s:
             grid_hz = roundest(1 / step_s, between_s / (time_s[-1] - time_s[0]) / 8)
-            why = "stamps come in bursts"
+            why = "timestamps come in bursts"
         lines.append(f"resample_hz = {grid_hz:.12g} # {why}")
     return lines, column.x * TIME_UNITS[fits[0]]
 

@@ -21,7 +21,7 @@ Units = Mapping[str, tuple[str, float]]
 Side = Literal["motor", "joint"]
 TableNumber = Annotated[int, msgspec.Meta(ge=1)]
 
-# For each unit the SI unit that values are converted to, and the factor.
+# For each unit the SI unit to which values are converted, and the factor.
 POSITION_UNITS = {
     "rad": ("rad", 1.0),
     "deg": ("rad", np.pi / 180),
@@ -50,7 +50,7 @@ EFFORT_UNITS = {
 }
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 TURN = 2 * np.pi
-MAX_WRAPPED = 1.001  # turns: range of angles that jump, with their rounding
+MAX_WRAPPED = 1.001  # range of angles that jump, in turns, with their rounding
 # Efforts that exist at one side only, and the reason.
 ONE_SIDE: Mapping[str, tuple[Side, str]] = {
     "known_torque": ("joint", "where it acts"),

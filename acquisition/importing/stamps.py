@@ -11,26 +11,29 @@ from ..arrays import Array, Bools, Ints
 from ..errors import Location
 from ..files import by_rows, taken
 
-MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
-# of errors of time by stamps to those by row numbers: above it there is a warning
+MIN_GAP_STEP = 1.5  # a longer step in periods is a gap with missing rows
+# Errors of time by timestamps that are more than this multiple of those by row numbers give a
+# warning.
 MIN_ROUGHNESS_RATIO = 2.0
-MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
-MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
-# periods, standard deviations: rows above both are left out
+MIN_SCATTER = 0.02  # timestamps that scatter by fewer periods are not checked
+MAX_REMAINING_STEP = 3.0  # no row is left out if a longer step in periods would remain
+# Rows with an error of time of more periods, and of more standard deviations, are left out.
 MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0
-# of a period: steps as uniform as this have no wrong stamp; stamps between steps as regular as this
-# are wrong by a period at most
+# Timestamps between steps as even as the first share of a period are not wrong. Between steps as
+# regular as the second share, they are wrong by a period at most.
 MAX_EVEN_DEVIATION, MAX_REGULAR_DEVIATION = 1e-3, 0.25
-MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
-# of the noise of a step, that a joint moves in a tick, so that ticks can be counted
+# A timestamp is only wrong if a joint moves by so many quanta in the error of time.
+MIN_QUANTA = 3.0
+# Ticks can be counted if a joint moves by so many standard deviations of the noise in a tick.
 MIN_TICK_DEVIATIONS = 5.0
-# Stamps come in bursts: so many, of at most so many rows, with this share of steps below half the
-# mean.
+# Timestamps come in bursts if there are so many, of at most so many rows each, with this share of
+# steps below half the mean.
 MIN_BURSTS, MAX_BURST_ROWS, MIN_SHORT_STEPS = 30, 100, 0.4
-MAX_BURST_DRIFT = 0.5  # of the time between bursts: rows that are missing are late by all of it
-_PASSES = 4  # a wrong stamp hides its neighbours
-_AROUND = 8  # rows before and after a step back, that tell whether it lasts
-_MAX_OFF = 0.5  # periods: rows that are all earlier by more show a step back of the clock
+# Missing rows would be late by the whole time between bursts, so a smaller drift is accepted.
+MAX_BURST_DRIFT = 0.5
+_PASSES = 4  # iterations, because a wrong timestamp hides its neighbours
+_AROUND = 8  # so many rows before and after a step back show whether it lasts
+_MAX_OFF = 0.5  # rows that are all earlier by more periods show a step back of the clock
 ONE_CLOCK = (
     "Split the file there and import each part: a clock was set back, or the file has two sessions"
 )
@@ -114,7 +117,7 @@ def even_times(
     """
     step_s, between_s = bursts(stamp_s)
     even_s = stamp_s[0] + np.arange(len(stamp_s)) / rate_hz
-    first = np.flatnonzero(np.diff(stamp_s) > step_s) + 1  # row of each burst
+    first = np.flatnonzero(np.diff(stamp_s) > step_s) + 1  # first row of each burst
 
     def share(x: Array) -> float:
         """Compute the part of the way from burst to burst that is covered before the first row."""
@@ -178,7 +181,7 @@ def _late(t: Array, x: Array, quantum: Array) -> tuple[Array, Bools]:
         error_s = np.divide(
             (speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0
         )
-        # Next to a wrong stamp, nodes are so close together that errors grow.
+        # Beside a wrong timestamp, nodes are so close together that errors grow.
         deviations = np.abs(error_s) * np.sqrt(information) / size * typical_size
         deviation = np.abs(steps - period)
         regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period

@@ -29,9 +29,10 @@ from .time_base import (
     write_samples,
 )
 
-MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
+# A larger relative difference from the tick of the timestamps is a mistake.
+MAX_TICK_ERROR = 0.01
 
-FROM_VELOCITY = "from velocity"  # instead of the column of a counter
+FROM_VELOCITY = "from velocity"  # value of the key `ticks` instead of a column
 
 
 class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -153,7 +154,7 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, 
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
         if table_map.position.unwrap or table_map.reference.unwrap:
-            # to the same turn
+            # Move the reference to the same turn as the positions.
             off = np.median(parts["reference"], axis=0) - np.median(parts["position"], axis=0)
             parts["reference"] -= TURN * np.rint(off / TURN)
     for name in OPTIONAL:
@@ -183,7 +184,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
             parts=parts, start_s=0.0, rate_hz=rate_hz
         )
     time_s, scatter_s = _times(source, time, parts)
-    # Counted ticks: rows of one tick are one row, even with different stamps.
+    # With counted ticks, rows of one tick are one row, even if their timestamps differ.
     is_new = np.concatenate([[True], np.diff(time_s) > 0]) | (time.ticks != FROM_VELOCITY)
     rows = np.flatnonzero(is_new)
     time_s, parts = taken(time_s, rows), {name: taken(x, rows) for name, x in parts.items()}

@@ -14,12 +14,16 @@ from ..robot import check_recorded_efforts, check_recorded_positions, check_reco
 from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
-MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
-MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
-MOST_MISSING = 10.0  # times the rows that are there: a longer gap is between two recordings
-MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
-MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
-_SPLINE_REACH = 100  # rows: farther ones act on a spline by less than rounding, 0.27 per row
+# Grids outside of these multiples of the rate of the rows give a warning.
+MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5
+MAX_LEFT_OUT = 0.02  # of the rows; a larger share gives a warning
+# A gap of more than so many times the rows that are there separates two recordings.
+MOST_MISSING = 10.0
+MAX_COMPARED_ROWS = 50_000  # rows whose timestamps are compared with the motion
+MAX_OVERSAMPLING = 100.0  # times the rate of the rows; a finer grid is a mistake
+# The influence of a row on a spline falls to 0.27 per row, so farther rows act by less than
+# rounding.
+_SPLINE_REACH = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -345,7 +349,7 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> 
     return GridValues(
         parts=parts,
         start_s=float(time_s[0]),
-        # Rounded within the scatter of the times: 1000, not 1000.00000013.
+        # The rate is rounded within the scatter of the times: 1000, not 1000.00000013.
         rate_hz=roundest(1 / period, float(off.max()) / duration_s, 1e-4),
         report=time_report(time_s),
     )

@@ -40,8 +40,9 @@ from .sync_grid import (
     minimum_behind,
 )
 
-MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual time
-# intervals in a row that prove the order; at most so many more if PDOs are late
+# Late drives answer at their usual time in at most so many intervals in a row.
+MAX_LATE_USUAL = 11
+# So many intervals in a row prove the order; at most so many more are needed if PDOs are late.
 MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8
 
 
@@ -115,14 +116,16 @@ def associate(
     ]
     asked = max(1, int(steps[span[0] : span[-1]].sum()))
 
-    # Keep the stretches that are whole and in no doubt.
+    # Keep the stretches that are whole and not doubtful.
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
-    damaged[:pending] = damaged[cuts[-2] :] = False  # answers are pending
+    # At both ends answers are pending, so missing ones are not damage.
+    damaged[:pending] = damaged[cuts[-2] :] = False
     again = interval_of(np.concatenate(repeats), syncs.rows)
     late, doubtful = _late(progress, intervals.unusual, proven, cuts, damaged, again)
     keep = np.repeat(whole & ~doubtful, np.diff(cuts))
     late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
-    del progress, proven, cuts, whole, grown, damaged  # large in a long session
+    # These arrays are large in a long session, and not needed any more.
+    del progress, proven, cuts, whole, grown, damaged
     return Answers(
         answered=kept(np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)),
         late=late,
@@ -167,11 +170,11 @@ def _stretches(progress: _Progress, intervals: Intervals) -> tuple[Bools, Rows, 
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
-        # nothing is lost, and some PDOs are late: so may the last ones be
+        # Nothing is lost, and some PDOs are late, so the last ones may be late, too.
         torn = np.append(torn[:-1], False)
-    # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
+    # Drives catch up in a pause. A drive that does not answers a SYNC that was not recorded.
     torn = torn | intervals.paused & progress.caught_up[1:]
-    # a torn interval is in no stretch
+    # The sums of torn intervals make each of them a cut, so that no stretch contains one.
     cuts, whole = _cuts([*behind, unknown, _sums(torn)], proven)
     return proven, cuts, whole, begin * int(unknown[0])
 
@@ -185,7 +188,7 @@ def _answers(
     losses: Sequence[dict[str, int]],
 ) -> list[Rows]:
     """Return for each PDO the frames in the intervals to keep; add the late ones to its losses."""
-    # the interval of each of the SYNCs
+    # This is the interval of each SYNC.
     asked = kept(np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep]))
     rows = []
     for pdo, lost in zip(pdos, losses, strict=True):
@@ -194,7 +197,7 @@ def _answers(
         rows.append(kept(pdo[used]))
         late = np.flatnonzero(interval[used] != asked)
         came = times_of(rows[-1][late]) - times_of(syncs.rows[asked[late]])
-        # else SYNCs came in a burst, and the drive is in time
+        # If SYNCs came in a burst, the drive is in time although its PDO came in a later interval.
         lost["late"] = int(np.count_nonzero(came > MAX_ANSWER_PERIODS * syncs.period))
     return rows
 
@@ -231,7 +234,7 @@ def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
     starts = np.flatnonzero(proven).astype(np.int32)
     unchanged = np.ones(len(proven), np.bool_)
     for balance in balances:
-        # below the start: an unnoticed loss of a SYNC or repeat of a PDO
+        # A balance below that at the start shows an unnoticed loss of a SYNC or repeat of a PDO.
         lowest = np.minimum.reduceat(balance, starts)
         lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
         level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
@@ -246,8 +249,8 @@ def _late(
     """Find stretches in which PDOs are late between two proven edges, and those of them within
     reach of an interval (k,) that is `damaged`, or in which a PDO came `again`.
     """
-    # A drive that is late, again and again at its usual time: rather a PDO was lost,
-    # and another came twice.
+    # If a drive seems to be late but answers at its usual time again and again, it is more likely
+    # that one PDO was lost and another came twice.
     behind = progress.caught_up[1:] & progress.caught_up[:-1]
     damaged[_in_a_row(progress.alone & ~unusual & behind, MAX_LATE_USUAL)] = True
     damaged[again] = True
@@ -256,7 +259,7 @@ def _late(
         sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))]
         > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
     )
-    # from the first uneven interval between two proven edges to the last
+    # A late part reaches from the first uneven interval between two proven edges to the last.
     starts = np.flatnonzero(proven).astype(np.int32)
     sums, count = _sums(progress.uneven | unusual), np.diff(starts)
     late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (

@@ -33,13 +33,13 @@ from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
 _MAGIC = b"\x89MCAP0\r\n"
 _IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-# bytes of a chunk, which is written at about 1 MiB, and of all of them unpacked: larger sizes are
-# hostile or damaged
+# The most bytes of a chunk, which is written at about 1 MiB, and of all chunks unpacked. Larger
+# sizes are hostile or damaged.
 _MAX_CHUNK_BYTES, _MAX_TOTAL_BYTES = 64 * 2**20, 4 * 2**30
-# All topics but those for viewers.
+# Only viewers need the other topics.
 READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 _MERGED = "merged recordings cannot be read"
-# At most so many bytes of a chunk, by its compression.
+# Unpackers of a chunk by its compression; they return at most so many bytes.
 _UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
     "": lambda data, most: data,
     "zstd": lambda data, most: (
@@ -47,7 +47,7 @@ _UNPACKED: Mapping[str, Callable[[bytes, int], bytes]] = {
     ),
     "lz4": lambda data, most: LZ4FrameDecompressor().decompress(data, max_length=most),
 }
-# lz4 raises RuntimeError
+# Errors that damaged bytes raise; lz4 raises RuntimeError.
 _DAMAGE = (
     McapError,
     zstandard.ZstdError,
@@ -73,7 +73,8 @@ class Messages:
     def __init__(self, layout: str) -> None:
         self.layout = layout
         self.stamps_ns: list[int] = []
-        # All contents, each up to its entry in `ends`; hours of samples do not fit in memory.
+        # All contents are in one buffer, each up to its entry in `ends`, because hours of samples
+        # do not fit in memory.
         self.data, self.ends = GrowingBytes(), list[int]()
 
     def add(self, stamp_ns: int, content: bytes) -> None:
@@ -126,8 +127,8 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
                 break
         except _DAMAGE as error:
             if not records.has_end and records.only_zeros_follow():
-                # the last record of a cut file: incomplete, followed by nothing or by
-                # unwritten disk space
+                # The last record of a truncated file is incomplete, and followed by nothing or by
+                # unwritten disk space.
                 break
             place.refuse(
                 text=(
@@ -207,7 +208,8 @@ class Content:
                 self.messages[topic].add(stamp_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
             schema = mcap.records.Schema.read(_stream(content))
-            self._schemas[schema.id] = schema.data.decode(errors="replace")  # bytes of other topics
+            # Schemas of other topics may have any bytes.
+            self._schemas[schema.id] = schema.data.decode(errors="replace")
         elif opcode == Opcode.CHANNEL:
             channel = mcap.records.Channel.read(_stream(content))
             layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
@@ -263,8 +265,8 @@ class _Records:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._digest = hashlib.sha256()
-        # CRC of all bytes before the current record, of a head and its content; and of all bytes
-        # before the last part that was taken, and with it.
+        # A record is read in two parts, head and content. These are the CRCs of all bytes before
+        # the current record, before the last part, and including it.
         self.crc_before, self._crc_before_part, self._crc = 0, 0, 0
         file.seek(max(0, self._size - len(_MAGIC)))
         self.has_end = self._size > 2 * len(_MAGIC) and file.read() == _MAGIC

@@ -45,17 +45,18 @@ from .sync_grid import (
 )
 from .writer import RecordingWriter
 
-MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
-MAX_UNEVEN, MIN_EVEN_SHARE = 0.25, 0.75  # of a period, and of the steps that deviate by less
+MAX_PERIOD_ERROR = 0.05  # of the SYNC period in robot.toml
+# A period is even if this share of the steps deviates from it by less than this part.
+MAX_UNEVEN, MIN_EVEN_SHARE = 0.25, 0.75
 MIN_SYNCS = 10  # with fewer, their period is not checked
-# of the PDOs of a drive: with more missing, wrong rows may look right; so few are no share of a
-# short recording
+# If a larger share of the PDOs of a drive is missing, wrong rows may look right. In a short
+# recording so few missing ones are not counted as a share.
 MAX_MISSING_SHARE, MAX_MISSING_COUNT = 0.05, 2
-# SYNCs without rows before the first row and after the last: more give a warning
+# More SYNCs without rows before the first row and after the last give a warning.
 MAX_AT_ENDS, MAX_SHARE_AT_ENDS = 3, 0.02
 LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
 _AT_ONCE = 10_000  # samples
-MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
+MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer targets there is no reference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,14 +177,14 @@ def decode(
     times_of = partial(traffic.at, "time_ns")
     syncs = _syncs(traffic, bus, place)
 
-    # What was received of each PDO that holds a position or an effort.
+    # Find the frames of each PDO that carries a position or an effort.
     carriers = _carriers(bus)
     pdos, repeats, short = zip(
         *(_frames_of(traffic, syncs, pdo, name, place) for pdo, name in carriers.items()),
         strict=True,
     )
 
-    # The grid of SYNC: periods from each frame to the next, and the times of all.
+    # Build the grid of SYNC: periods from each frame to the next, and the times of all.
     intervals = sync_steps(syncs, pdos, times_of)
     if (traffic.at("length", syncs.rows) >= 1).all():
         intervals = replace(intervals, steps=counted_steps(traffic.at("data", syncs.rows)[:, 0]))
@@ -192,7 +193,7 @@ def decode(
     if len(syncs.rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place, np.diff(syncs.times) * 1e-9)
 
-    # The frames that answer each SYNC.
+    # Find the frames that answer each SYNC.
     answers = associate(pdos, repeats, syncs, times_of, intervals)
     counts = {
         name: Counter(received=len(rows) + len(again), short=n, **lost)
@@ -200,7 +201,8 @@ def decode(
             carriers.values(), pdos, repeats, short, answers.losses, strict=True
         )
     }
-    del pdos  # large in a long session
+    # These arrays are large in a long session, and not needed any more.
+    del pdos
     _refuse_missing(answers, max_missing, place)
 
     rows_of = dict(zip(carriers, map(kept, answers.rows), strict=True))
@@ -242,7 +244,8 @@ def _syncs(traffic: Traffic, bus: Bus, place: str) -> Syncs:
             ours=bool((traffic.at("flags", rows) & SENT).all()),
             period=usual_period(times, bus.period_ns),
         ),
-        (traffic.of(pdo)[0] for pdo in _carriers(bus)),  # few need them
+        # Few recordings need these frames, so a generator finds them on demand.
+        (traffic.of(pdo)[0] for pdo in _carriers(bus)),
     )
 
 
@@ -318,7 +321,7 @@ def _targets(
 
     None if a drive receives none or few.
     """
-    # grid index of the SYNC after as many SYNC frames
+    # The k-th entry is the grid index of the SYNC that follows k SYNC frames.
     targets, following = [], np.append(index_of, index_of[-1] + 1)
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")

@@ -17,16 +17,17 @@ from ..files import by_rows
 from ..robot import Robot
 from .rows import Block
 
-# periods between two rows, ± half a period: a longer step is a gap; that efforts of a recording
-# repeat by chance for as long
+# A step between two rows of more periods, ± half a period, is a gap. Efforts of a recording repeat
+# randomly for as long as a lost stretch with this probability.
 MAX_GAP, CHANCE = 3.0, 1e-6
-# of the largest effort: changes that are none, fourth differences that are none; in sequence
+# Changes and fourth differences below these shares of the largest effort are rounding. So many
+# fourth differences in sequence show efforts that were filled in.
 EQUAL, CUBIC, MIN_FILLED = 1e-13, 1e-12, 10
-# times that, in most of so many rows to each side of a stretch
+# Beside a stretch, this share of so many rows must change by so many times the rounding.
 MIN_NOISE, MOST, BESIDE = 1e3, 0.9, 20
-# of third differences, typical fourth ones of noise, in so many rows; of the typical step, times
-# the length of a stretch, in which a robot that moves travels more; of the step before it, by which
-# one over a step of the clock differs less, and of the typical one
+# Efforts are noisy if typical fourth differences in so many rows are at least this share of third
+# ones. A robot that moves travels more than this share of the typical step, times the length of a
+# stretch. Over a step of the clock, a position changes by the step before it, to this share of it.
 MIN_ROUGH, MOST_ROWS, MIN_TRAVEL, MAX_OFF = 0.5, 100_000, 0.02, 0.5
 
 
@@ -72,8 +73,8 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
     if text:
         lasts_s, first = max((t_s[min(b, len(q) - 1)] - t_s[a], a) for a, b in runs)
         text += (
-            f", of {len(q)} rows: they weigh nothing; the longest stretch lasts {lasts_s:.3g} s, "
-            f"from {t_s[first]:.4g} s"
+            f", of {len(q)} rows: they have zero weight; the longest stretch lasts "
+            f"{lasts_s:.3g} s, from {t_s[first]:.4g} s"
         )
     return ~(lost | filled), text
 
@@ -90,7 +91,8 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
         np.median(
             np.abs(np.diff(motor[:MOST_ROWS], k, axis=0, append=np.zeros((4, q.shape[1])))), axis=0
         )
-        for k in (1, 3, 4)  # of a recording of few rows, too
+        # The appended rows allow a recording of few rows, too.
+        for k in (1, 3, 4)
     )
     noisy = (fourth > np.maximum(MIN_ROUGH * third, MIN_NOISE * CUBIC * unit)) & (once > 0)
     typical = np.sqrt(by_rows(lambda x: np.diff(x, axis=0) ** 2, q, beside=1).mean(axis=0))
@@ -98,7 +100,8 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
         lambda x: np.where(
             noisy & ((x[1:] < top - EQUAL * unit) & (x[1:] > low + EQUAL * unit) | (x[1:] == 0)),
             np.abs(np.diff(x, axis=0)) / (EQUAL * unit),
-            MIN_NOISE,  # without noise, and at a limit, nothing tells
+            # Without noise, and at a limit, repeats show nothing, so they count as changes.
+            MIN_NOISE,
         ),
         motor,
         beside=1,
@@ -109,7 +112,7 @@ def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bool
         lost[1:] |= _alike(changes[:, m], least, q[:, joints], typical[joints])
     lost[:-1] |= lost[1:] & zero[:-1].any(axis=1)
     none = np.asarray(zero.all(axis=1))
-    # Motors that cross zero independently do not do so at once.
+    # Efforts of motors that cross zero independently do not do so at the same time.
     if q.shape[1] > 1 and len(q) * (zero & ~none[:, None]).mean(axis=0).prod() < CHANCE:
         for first, last in _runs(none):
             lost[first:last] |= _moves(q[max(first - 1, 0) : last + 1], typical)

@@ -46,20 +46,21 @@ from .writer import (
     sample_layouts,
 )
 
-# 2000-01-01; stamps before it count from the start of a computer or a recording
+# Timestamps before 2000-01-01 count from the start of a computer or a recording.
 FIRST_DATE_NS = 946_684_800 * 10**9
 
-# The end of a layout of rows with values of further objects of the drives, of earlier versions.
+# Earlier versions recorded values of further objects of the drives at the end of a row.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-HISTORY_SYNCS = 2 * MAX_RUN_SYNCS  # before the next row, which are decoded again
+HISTORY_SYNCS = 2 * MAX_RUN_SYNCS  # decoded again before the next row
 MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
     """An event: a session phase, a drive's emergency message, an operator's annotation."""
 
-    stamp_ns: int = 0  # of its message, in which are the others
+    # The message of the event has this time; kind and text are its content.
+    stamp_ns: int = 0
     kind: str
     text: str
 
@@ -146,7 +147,8 @@ class Recording:
             sample_rate_hz=self.sample_rate_hz,
             effort_provenance=self.metadata.get("effort_provenance", ""),
             effort_timing=self.effort_timing,
-            notes=self.metadata,  # with the payload, and what later versions say of it
+            # The metadata contain the payload, with keys of later versions.
+            notes=self.metadata,
             attachments={
                 name: content
                 for name, content in self.attachments.items()
@@ -243,7 +245,8 @@ def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Blo
             text=f"the blocks have {blocks.data.tell()} bytes",
             expected=f"whole rows of {whole.itemsize} bytes",
         )
-    rows = np.frombuffer(blocks.data.whole(), whole)  # of bytes, hence read-only
+    # An array over bytes is read-only.
+    rows = np.frombuffer(blocks.data.whole(), whole)
     return rows[list(dtype.names or ())] if skipped else rows
 
 
@@ -342,7 +345,7 @@ class RecordingFollower:
         )
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
-        self._last: Block | None = None  # the last row that was given
+        self._last: Block | None = None  # the last row that was returned
         self.rows: Block | None = None
         self.events: tuple[Event, ...] = ()
         self.health: tuple[Health, ...] = ()
@@ -377,7 +380,8 @@ class RecordingFollower:
             int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS
         )
         if self._bus is None:
-            with suppress(BadInputError):  # the master has not mapped all drives yet
+            # The master may not have mapped all drives yet.
+            with suppress(BadInputError):
                 self._frames, self._bus = resolve_mapped(self._frames, self.robot, str(self._path))
         elif first > 0:
             self._frames, sync_ns = self._frames[sync_rows[first] :], sync_ns[first:]
@@ -391,12 +395,12 @@ class RecordingFollower:
         samples, self.problem = found.samples, ""
         stamps = samples["stamp_ns"]
         same = np.flatnonzero(np.abs(stamps - shown_ns) < half_ns)
-        # wraps of position counters in the dropped frames count on
+        # Position counters may have wrapped in the dropped frames, so continue from the last row.
         if self._last is not None and len(same):
             off = self._last["position"] - samples["position"][same[0]]
             for name in {"position", "reference"} & {*(samples.dtype.names or ())}:
                 samples[name] += off
-        # Later frames may assign those behind a gap to other SYNCs, and leave out late ones.
+        # Later frames may assign rows behind a gap to other SYNCs, and remove late ones.
         new = stamps > shown_ns + half_ns
         behind_gap = np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns
         recent = stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]

@@ -16,26 +16,29 @@ from ..files import by_rows, kept, release_pages
 from ..protocol import ANSWER, HEARTBEAT, REQUEST, SDO_OBJECTS, Confirmed, ObjectEntry, Pdo
 from ..robot import Bus, Robot, resolve
 
-# One raw CAN frame; `data` beyond `length` is zero.
 CAPTURE_TOPIC = "/ethercat/frames"
+# One raw CAN frame; `data` beyond `length` is zero.
 FRAME = np.dtype(
     [("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))]
 )
 # Bits of FRAME's `flags`.
-SENT = 1  # by this master; not set: received
+SENT = 1  # sent by this master; otherwise received
 EXTENDED = 2  # 29-bit identifier
-ERROR = 4  # error frame
-REMOTE_REQUEST = 8  # remote request
-CAN_FD = 16  # of CAN FD: is counted by the recorder, and not in a recording
+ERROR = 4
+REMOTE_REQUEST = 8
+CAN_FD = 16  # the recorder counts these frames, but does not record them
 _DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
-_NO_ID = 0xFFFF  # stands for frames that CANopen does not use
+_NO_ID = 0xFFFF  # identifier of frames that CANopen does not use
 _AT_ONCE = 100_000  # rows in memory at once; all others may be on disk
-_TAKEN = 20_000  # rows: those of one PDO are spread over more frames
-MAX_PERIOD_OFFSET = 0.1  # periods: largest deviation of a step over missing rows from whole periods
+# The rows of one PDO are spread over many more frames, so fewer are in memory at once.
+_TAKEN = 20_000
+# A step over missing rows may deviate from whole periods by so many periods.
+MAX_PERIOD_OFFSET = 0.1
 MAX_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
-Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
+# Indices of frames or SYNCs take half the memory of Ints.
+Rows = NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +53,9 @@ class Gap:
     late: bool = False
 
 
-# Optional fields of rows, in their order: measured joint speeds in rad/s or m/s; known torques on
-# the joints that are not of the drives, N m or N; feed-forward added to the controller's output, by
-# motor, in the unit of the recorded effort.
+# Optional fields of rows, in their order: measured joint speeds in rad/s or m/s; external torques
+# on the joints in N m or N; feed-forward added to the controller's output, by motor, in the unit of
+# the recorded effort.
 OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
@@ -178,8 +181,8 @@ class Traffic:
 
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
         """Extract the integers of one object from the frames `rows`."""
-        # One strided field over the rows in place: three times as fast as copying the
-        # bytes of each frame.
+        # A strided field over the rows in place is three times as fast as copying the bytes of each
+        # frame.
         only = np.dtype(
             {
                 "names": ["value"],
@@ -216,7 +219,8 @@ def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]
         if _changed(drives, int(traffic.ids[row]), bytes(frames[row]["data"])):
             parts.append((first, row, known))
             first = row
-        if silent or traffic.ids[row] & 0xFF80 != REQUEST:  # what is asked may change nothing
+        # A request that is not answered changes nothing.
+        if silent or traffic.ids[row] & 0xFF80 != REQUEST:
             known = {k: replace(drive, values=dict(drive.values)) for k, drive in drives.items()}
     parts.append((first, len(frames), drives))
     first, end, known = max(parts, key=lambda part: (pdos[part[0] : part[1]].sum(), part[0]))
@@ -236,7 +240,8 @@ def resolve_mapped(frames: Block, robot: Robot, place: str) -> tuple[Block, Bus]
 
 def _changed(drives: Mapping[int, Confirmed], can_id: int, data: bytes) -> bool:
     """Process a frame; return whether it changed the mapping of one of the drives."""
-    node = can_id & 0x7F or data[1]  # NMT has it in its data, 0 for all
+    # NMT has the node in its data, 0 for all nodes.
+    node = can_id & 0x7F or data[1]
     changes = [drive.take(can_id & 0x780, data) for k, drive in drives.items() if node in (0, k)]
     return any(changes)
 
@@ -249,7 +254,7 @@ def _mapping_rows(traffic: Traffic) -> Rows:
     ids, data = traffic.ids[rows], traffic.at("data", rows)
     index = np.ascontiguousarray(data[:, 1:3]).view("<u2")[:, 0]
     sdo = np.isin(index, SDO_OBJECTS) & (traffic.at("length", rows) == 8)
-    # resets of a node, or of its communication, by NMT; boot-up
+    # NMT resets a node or its communication; a boot-up message shows that it has started.
     kinds = [ids == 0, ids & 0x7F == 0, ids > HEARTBEAT]
     starts = [np.isin(data[:, 0], (0x81, 0x82)), np.False_, data[:, 0] == 0]
     return kept(rows[np.select(kinds, starts, sdo)])
@@ -281,7 +286,7 @@ def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Bloc
     robot : the robot.
     bus : its drives.
     """
-    # for each drive: raw position of the row before, and the counts added to it
+    # This is the raw position of each drive in the row before, and the counts added to it.
     last: list[tuple[int, int]] = []
     for rows in raw:
         target = rows["target"] if "target" in (rows.dtype.names or ()) else None

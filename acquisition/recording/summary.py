@@ -169,14 +169,14 @@ def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
 def _facts(found: Mapping[str, Any]) -> dict[str, str]:
     missing = sum(gap.missing for gap in found["gaps"] if not gap.late)
     late = sum(gap.late for gap in found["gaps"])
-    sd, worst = (1e3 * value for value in found["step_jitter_s"])
+    sd, largest = (1e3 * value for value in found["step_jitter_s"])
     of_samples = {
         "samples": f"{found['samples']} at {found['sample_rate_hz']:g} Hz, "
         f"{found['duration_s']:g} s, {'with' if found['has_reference'] else 'without'} reference",
         "gaps": f"{len(found['gaps'])}, {missing} samples missing, {late} SYNC late"
         if found["gaps"]
         else "none",
-        "steps": f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out",
+        "steps": f"jitter sd {sd:.4f} ms, largest {largest:.4f} ms, without gaps",
     }
     optional = {
         **{
@@ -196,7 +196,7 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
         "robot": found["robot"],
         "source": found["source"],
         "created": f"{found['created']} by {found['software']}",
-        "end": "missing: only what was written before the cut" if found["cut"] else "whole",
+        "end": "truncated: only what was written before" if found["cut"] else "complete",
         **(of_samples if found["samples"] else {"samples": found["no_samples"]}),
         **{name: text for name, text in optional.items() if text},
         "attached": ", ".join(
@@ -209,7 +209,8 @@ def _facts(found: Mapping[str, Any]) -> dict[str, str]:
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]]) -> Table:
     """Make a table: texts without markup and control characters, numbers in five digits."""
     table = Table(
-        *(Column(column, overflow="fold") for column in columns),  # wraps long hashes and names
+        # Long hashes and names are folded to the next line.
+        *(Column(column, overflow="fold") for column in columns),
         box=None,
         show_header=any(columns),
     )

@@ -21,19 +21,25 @@ from .rows import MAX_PERIOD_OFFSET, Rows
 
 Number = TypeVar("Number", np.int32, np.int64, np.float64)
 
-MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
-MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
-MAX_REPEAT_PERIODS = 0.65  # after a SYNC of another producer that was in time: a repeat
-MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
-# from a PDO's median time after SYNC, and so many median deviations from that:
+MIN_PAUSE_PERIODS = 1.5  # a longer step between SYNCs is a pause
+# Late PDOs must end within so many SYNCs. If more are lost in a row, the silence is a pause.
+MAX_RUN_SYNCS = 255
+# A SYNC of another producer is a repeat if it follows one in time by less than so many periods.
+MAX_REPEAT_PERIODS = 0.65
+# A PDO that comes later after SYNC may answer a SYNC that was not recorded.
+MAX_ANSWER_PERIODS = 0.75
+# The time of a PDO after SYNC is usual if it deviates from the median by less than so many periods,
+# plus so many median deviations: the first number if it never came twice in an interval.
 _MAX_USUAL_PERIODS = 0.05
-_MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
-_MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
-# a step by so many to later, or to earlier times, that lasts, is no delay
+_MAX_USUAL_RATIO = (5.0, 1.5)
+# SYNCs with a delay of more than so many usual ones are not used for the period.
+_MAX_DELAY_RATIO = 4.0
+# A lasting step by so many periods to later, or to earlier times, is not a delay.
 _MIN_LASTING_PERIODS, _MIN_SOONER_PERIODS = 0.6, 0.4
-_MAX_EVEN_PERIODS = 1.25  # with no longer step no SYNC was lost
-_NEAR_SYNCS = 7  # around a repeat, that show whether one was late and what drives answered
-# later SYNCs that bound the delay of one, in the first and second pass
+_MAX_EVEN_PERIODS = 1.25  # without a longer step, no SYNC was lost
+# So many SYNCs around a repeat show whether one was late, and what drives answered.
+_NEAR_SYNCS = 7
+# So many later SYNCs bound the delay of one, in the first and second iteration.
 _LOOKAHEAD_SYNCS = (15, 127)
 
 
@@ -101,8 +107,8 @@ def sync_times(syncs: Syncs, index_of: Ints, grid: int, nominal_ns: int) -> Sync
     since = kept((times - times[0]).astype(np.float64))
     freed, run, within = _remove_delays(index_of, since, syncs.period)
     overall = _slope(index_of, since, np.zeros_like(run)) if run[-1] else within
-    # Pauses lengthen the second estimate, delays may disturb the first; a wrong
-    # description changes neither.
+    # Pauses lengthen the second estimate, and delays may disturb the first. A wrong period in
+    # robot.toml changes neither, so the nearer one is right.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
     deviation = kept(since - index_of * within)
     deviation -= _mean_of_run(deviation, run)
@@ -138,11 +144,12 @@ def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Int
 
     Also return the run between pauses to which each SYNC belongs, and the period within runs.
     """
-    for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
+    # The second iteration has a better period, and uses more SYNCs.
+    for ahead in _LOOKAHEAD_SYNCS:
         freed, run = _freed(since - index * period, period, ahead)
         delay = kept(since - index * period - freed)
         usual = delay <= min(_MAX_DELAY_RATIO * float(np.median(delay)), MAX_PERIOD_OFFSET * period)
-        # one SYNC has no slope
+        # A slope needs two SYNCs.
         period = (
             _slope(kept(index[usual]), kept(since[usual]), kept(run[usual]))
             if np.count_nonzero(usual) >= 2
@@ -160,13 +167,13 @@ def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
     would make all SYNCs before it late, is an additional SYNC or another timer.
     """
     (few, most), least = _LOOKAHEAD_SYNCS, minimum_ahead(deviation, ahead)
-    # the last SYNCs before a pause keep their delays
+    # The last SYNCs before a pause keep their delays, because no later SYNC of the run bounds them.
     rises = least[1:] - minimum_behind(least, 3)[:-1] > _MIN_LASTING_PERIODS * period
     paused = kept(np.append(0, np.cumsum(rises & (np.diff(least) > 0.25 * period))))
     if not (np.diff(deviation) < -_MIN_SOONER_PERIODS * period).any():
         return least, paused
     falls = np.diff(minimum_behind(deviation, most, paused)) < -_MIN_SOONER_PERIODS * period
-    # the first SYNCs of a run may all be late
+    # The first SYNCs of a run may all be late, so a fall among them shows nothing.
     known = np.append(np.full(few + 1, -1), paused)[1 : len(paused)] == paused[1:]
     run = np.append(0, np.cumsum(falls & known))
     return minimum_ahead(deviation, ahead, run), paused + run
@@ -254,10 +261,12 @@ def recorded_syncs(syncs: Syncs, pdos: Iterable[Rows]) -> Syncs:
     """
     times, period = syncs.times, syncs.period
     back = np.flatnonzero(np.diff(times[:-1]) < 0)
-    # else the clock was set back
+    # Two SYNCs changed places only if the time goes on after them; otherwise the clock was set
+    # back.
     back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]
     times[back], times[back + 1] = times[back + 1], times[back]
-    steps = np.append(-1, np.diff(times))  # a step back is none of a repeat
+    # A step back is not the step of a repeat.
+    steps = np.append(-1, np.diff(times))
     early = (steps >= 0) & (steps < MAX_REPEAT_PERIODS * period)
     if syncs.ours or not early.any():
         return syncs
@@ -266,14 +275,14 @@ def recorded_syncs(syncs: Syncs, pdos: Iterable[Rows]) -> Syncs:
     fewer = np.array([_fewer_answers(pdo, syncs.rows, early) for pdo in pdos])[:, 1:]
     alone = (early & ~np.roll(early, 1) & ~np.roll(early, -1))[1:]
     pairs = np.append(times[2:] - times[:-2], 0)
-    # Two sets in two periods: the SYNC after the repeat was not recorded. At the begin of a
-    # recording the one before may be late.
+    # If there are two sets of answers in two periods, the SYNC after the repeat was not recorded.
+    # At the beginning of a recording the SYNC before may be late instead.
     two = (
         alone & (pairs > (1 + MAX_REPEAT_PERIODS) * period) & (np.arange(len(pairs)) > _NEAR_SYNCS)
     )
     falls = (np.diff(level) < (MAX_REPEAT_PERIODS - 1) * period) & (fewer.any(axis=0) | two)
     repeats = early & np.append(False, falls | alone & (fewer == 2).all(axis=0))
-    # the one behind a repeat is early after that alone
+    # The SYNC after a repeat is only early with respect to the repeat.
     repeats[2:] &= ~repeats[1:-1] | (pairs[:-1] < MAX_REPEAT_PERIODS * period)
     return replace(syncs, rows=syncs.rows[~repeats], times=times[~repeats])
 
@@ -333,7 +342,7 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - MAX_ANSWER_PERIODS)
     periods = np.diff(times) / period
-    # single steps are the better measure of even SYNCs, and those of bursts are short
+    # For even SYNCs the median of single steps is the better measure. In bursts it is too short.
     usual = max(period, float(np.median(np.diff(times))))
     even = syncs.ours or periods.max() <= _MAX_EVEN_PERIODS
     periods = np.append(periods if even else _lasting_periods(times, period), after_last)
@@ -365,7 +374,8 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
             np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET,
         )
         & (lost < MAX_RUN_SYNCS)
-        & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
+        # Without any answer nothing was on the bus, so no SYNC was lost.
+        & ((lost == 1) | (most > 0) | busy[long])
     )
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)

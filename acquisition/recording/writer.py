@@ -40,7 +40,7 @@ from .rows import (
     sample_dtype,
 )
 
-# Texts of the metadata's key `effort_timing`; a missing key means "unknown".
+# The texts of the key `effort_timing` in the metadata; a missing key means "unknown".
 EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
     "command": "command of the instant, held after it",
     "mean": "mean over the control period",
@@ -146,9 +146,12 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
 
     def __init__(self, path: Path, header: Header) -> None:
         from mcap.writer import Writer
-        from rosbags.typesys import Stores, get_typestore  # slow to import, only needed for writing
 
-        self._ros = get_typestore(Stores.ROS2_JAZZY)  # slow to make, so not while frames arrive
+        # This package is slow to import, and only needed for writing.
+        from rosbags.typesys import Stores, get_typestore
+
+        # The store is slow to make, so it is not made while frames arrive.
+        self._ros = get_typestore(Stores.ROS2_JAZZY)
         self._joint_state: str = self._ros.generate_msgdef(JOINT_STATE, ros_version=2)[0]
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
@@ -170,7 +173,7 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
         place = Location(f"{self._place}: /samples")
-        # without what is skipped
+        # A block of which fields were skipped has the same layout.
         layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])
         place.require(
             layout in sample_layouts(self._robot),

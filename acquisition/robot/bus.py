@@ -23,15 +23,15 @@ HomedName = Annotated[
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 Sign = Literal[1, -1]
-# the instants that recorded efforts belong to
+# The instants to which recorded efforts belong.
 EffortTiming = Literal["command", "mean", "measured", "unknown"]
 
-MAX_DEMAND_RIPPLE = 0.002  # of the inertia
+MAX_DEMAND_RIPPLE = 0.002  # share of the inertia
 TORQUE_DEMAND = 0x6074
 USUAL_SYNC = 0x80
-# marks lines of a description that a program wrote and an engineer has to complete
+# A program marks lines of a description that an engineer must complete.
 FILL_IN = "FILL IN"
-AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
+AXIS = 0x800  # distance between the objects of two axes of a drive (CiA 402-2)
 _WORDS: dict[str, Iterable[str]] = {
     **dict.fromkeys(("reference_rule", "actual_rule"), RULES),
     **dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS),

@@ -41,7 +41,7 @@ class Capsule(TomlTable, frozen=True):
     to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
-# of a joint, by its type and the quantity
+# The keys of a joint by its type and the quantity.
 _KEYS = {
     "revolute": {
         "zero": "zero_deg",
@@ -312,13 +312,13 @@ class RobotFile(TomlTable, frozen=True):
                 not self.urdf_meshes or self.urdf is not None,
                 "urdf_meshes",
                 True,
-                ("there is no urdf", "Name a urdf that refers to meshes, or remove urdf_meshes"),
+                ("robot.toml has no urdf", "Name a urdf with meshes, or remove the key"),
             ),
             (
                 self.payload.frame is None or self.urdf is not None,
                 "payload.frame",
                 self.payload.frame,
-                ("there is no urdf", "Name a urdf with this link, or remove the frame"),
+                ("robot.toml has no urdf", "Name a urdf with this link, or remove the frame"),
             ),
             *(
                 (name not in named[:i], f"{kind}[{i}].name", name, (f"another {kind} has it", ""))
@@ -327,7 +327,8 @@ class RobotFile(TomlTable, frozen=True):
             ),
         )
         for i, joint in enumerate(self.joint):
-            # Not in the joint: one whose terms are chosen for a fit may still state the speed.
+            # This is not checked in the joint: if its terms are chosen for a fit, the speed may
+            # remain.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
             self.require_all(
                 (
@@ -387,7 +388,7 @@ class RobotFile(TomlTable, frozen=True):
                     self.motor_matrix,
                     "an invertible matrix",
                 ),
-                # names such as Ia2 and gains are by joint, so each joint needs its own motor
+                # Names such as Ia2 and gains belong to joints, so each joint needs its own motor.
                 *(
                     (
                         row[i] != 0,

@@ -12,8 +12,9 @@ from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .robot import Robot
 
 MAX_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
-FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
-# of the position and of its target; codecs and the unwrapping of counters depend on it
+# CiA 301 assigns these identifiers to no service.
+FREE_CAN_IDS = range(0x680, 0x6E0)
+# Codecs and the unwrapping of counters depend on this type of positions and their targets.
 POSITION_TYPE = "I32"
 
 
@@ -172,12 +173,13 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
     would stop while the others continue.
     """
     low, high = cia.range_of(POSITION_TYPE)
-    # values that are not finite are refused below
+    # Values that are not finite are refused below.
     with np.errstate(over="ignore", invalid="ignore"):
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
             counts = drive.position_codec.exact(motors[:, i])
-            inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
+            # NaN fails both comparisons, so it is outside.
+            inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)
             if (k := first_true(~inside)) is not None:
                 Location(f"{place}: at {k * bus.file.sync_period_s:.4g} s").refuse(
                     f"target of node {drive.node} ({drive.name})",
@@ -237,8 +239,8 @@ def refuse_pdos(bus: Bus, place: str) -> None:
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
     """Refuse counts per metre for a motor that turns, and counts per turn for one that slides."""
-    # The effort, a torque or a force, shows which; for amperes or volts, the joints
-    # that the motor moves.
+    # A torque or a force shows whether the motor turns or slides. For amperes or volts, the joints
+    # that it moves show it.
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
     slides = any(

@@ -15,24 +15,31 @@ from ..errors import Location
 from .description import Joint
 from .robot import Robot
 
-MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
+# Positions that exceed the limits by more than this share of the range have a systematic cause.
+MAX_RANGE_EXCESS = 0.5
 MAX_SPEED_RATIO = 3.0  # times the speed limit
-# rad/s, m/s; no joint of a robot is faster
+# No joint of a robot is faster than this, in rad/s or m/s.
 MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}
-MIN_EFFORT_RATIO = 1.2  # times the effort limit: from there on a warning
-MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit; below there is no warning
-NOISE_DEVIATIONS = 8.0  # of a sample's noise: smaller differences over one sample are no speed
-# over which positions and speeds are compared, to reduce noise of single samples
+# Efforts warn from this ratio to the limit on, because drives exceed their limits a little.
+MIN_EFFORT_RATIO = 1.2
+# Overshoots below this share of the range, or of the speed limit, give no warning.
+MIN_OVERSHOOT = 0.01
+# Differences over one sample below so many standard deviations of its noise are not a speed.
+NOISE_DEVIATIONS = 8.0
+# Positions and speeds are compared over this time, to reduce the noise of single samples.
 SPEED_WINDOW_S = 0.05
-# typical steps, squares of noise: a joint that moves less is at rest
+# A joint that moves less than so many typical steps, or squares of noise, is at rest.
 MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0
 MAX_SPEED_DEVIATION = 0.1  # of the change of position; above it there is a warning
-MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
-MIN_USED_RANGE = 0.1  # of a joint: less, if radians were degrees, is no motion
+# Only a wrong unit, sign or column explains such a factor.
+MAX_SPEED_GAIN = 2.0
+# If radians were degrees, a joint that uses less than this share of its range would not move.
+MIN_USED_RANGE = 0.1
 RADIANS_AS_DEGREES = (
     "all joints use less than 1/57 of their ranges: positions may be radians, declared as degrees"
 )
-_MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
+# A step of so many times the steps before and after it is a single jump.
+_MIN_JUMP_RATIO = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,7 +162,7 @@ def check_recorded_velocities(
     """
     h = 1 / rate_hz
     step = max(1, round(SPEED_WINDOW_S / h))
-    # joint by joint, as hours of all do not fit in memory
+    # Integrate joint by joint, because hours of all joints do not fit in memory.
     travelled = [np.cumsum(0.5 * h * (x[1:] + x[:-1]))[step - 1 :: step] for x in v.T]
     by_position, by_speed = (
         np.diff(q[::step], axis=0),
@@ -188,7 +195,8 @@ def _travels(q: Array, moved: float) -> bool:
     `moved` is the sum of squared changes over the window.
     """
     steps = np.abs(np.diff(q))
-    noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # unit noise has third differences of sqrt(20)
+    # Third differences of unit noise have the standard deviation sqrt(20).
+    noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20
     if moved == 0.0 or moved > MIN_TRAVEL_RATIO * noise:
         return moved > 0.0
     return bool(np.ptp(q) > MIN_TRAVEL_STEPS * np.median(steps[steps > 0]))
@@ -232,8 +240,8 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Locatio
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
-    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is
-    # 0.67 of that; motion hardly contributes to them.
+    # Fourth differences of white noise of standard deviation d have the standard deviation
+    # sqrt(70) d and the median 0.67 of that; motion hardly contributes to them.
     noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))
     beyond = np.maximum(step - NOISE_DEVIATIONS * noise, 0.0) / step_s
     k = int(np.argmax(beyond))

@@ -9,9 +9,11 @@ from ..errors import BadInputError
 from .robot import Robot
 
 Mass = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
-Metres = Annotated[float, msgspec.Meta(ge=-5, le=5)]  # a larger number is in another unit
+# A larger number is in another unit.
+Metres = Annotated[float, msgspec.Meta(ge=-5, le=5)]
 HalfWidth = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
-CENTER_HALF_WIDTH_M = 0.005  # of a centre of mass by drawing or by hand
+# A centre of mass from a drawing or measured by hand is known to about this.
+CENTER_HALF_WIDTH_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Payload:
         width = f" ± {self.mass_half_width_kg:g}" if self.mass_half_width_kg else ""
         mass = "unknown mass" if self.mass_kg is None else f"{self.mass_kg:g}{width} kg"
         if self.center_of_mass_m is None:
-            return f"{mass}, centre of mass not stated"
+            return f"{mass}, centre of mass not given"
         center = (
             ", ".join(f"{x:g}" for x in self.center_of_mass_m) + f" ± {self.center_half_width_m:g}"
         )
@@ -83,7 +85,8 @@ def parse_payload(text: str, robot: Robot, key: str = "payload") -> Payload:
             **({"center_half_width_m": float(half_width)} if within else {}),
         }
         return msgspec.convert(msgspec.structs.asdict(robot.payload) | given, Payload)
-    except ValueError as error:  # of msgspec too
+    # The errors of msgspec are ValueErrors, too.
+    except ValueError as error:
         raise BadInputError(
             key=key,
             value=text,

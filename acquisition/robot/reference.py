@@ -15,8 +15,9 @@ from ..files import read_columns
 from .robot import Robot
 
 HARMONICS = 5
-SLOW_STOP_S = 0.5  # from a stop request to rest; longer where acceleration limits need it
-LIMIT_SHARE = 0.8  # of a joint's stated range and speed
+# Time from a stop request to rest; acceleration limits may lengthen it.
+SLOW_STOP_S = 0.5
+LIMIT_SHARE = 0.8  # of a joint's range and speed limit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,9 +105,10 @@ def fourier_reference(
 
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
-MAX_ROUNDING = 1e-9  # by which a reference may leave a limit
-MAX_TABLE_S = 24 * 3600.0  # of a table
-MAX_PATH_VALUES = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
+MAX_ROUNDING = 1e-9  # relative; by this a reference may exceed a limit
+MAX_TABLE_S = 24 * 3600.0  # duration of a table
+# A path has a position of each joint at each SYNC: so many numbers take 0.8 GB.
+MAX_PATH_VALUES = 10**8
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
@@ -129,7 +131,8 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
     time_s, at = table[:, 0], Location(f"{path}: time_s")
-    with np.errstate(all="ignore"):  # overflows are refused below
+    # Overflows are refused below, so they need no warning of numpy.
+    with np.errstate(all="ignore"):
         at.require(
             len(table) >= 2 and (np.diff(time_s) > 0).all(),
             text="the table has fewer than 2 rows, or times that do not grow",
@@ -145,7 +148,8 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
-        except ValueError:  # rows so close, or numbers so large, that its equations overflow
+        # The equations overflow if rows are too close or numbers too large.
+        except ValueError:
             q = np.array([np.nan])
     if not np.isfinite(q).all():
         Location(str(path)).refuse(
@@ -172,7 +176,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """
     for problem in missing_limits(robot):
         Location(place).refuse(text=problem, advice="Add it to robot.toml before motion")
-    # values that are not finite are refused below
+    # Values that are not finite are refused below.
     with np.errstate(over="ignore", invalid="ignore"):
         dq = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / period_s
         ddq = np.diff(dq, axis=0) / period_s
@@ -184,7 +188,8 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):
             slack = MAX_ROUNDING * max(abs(bottom), abs(top))
-            inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
+            # NaN fails both comparisons, so it is outside.
+            inside = (values >= bottom - slack) & (values <= top + slack)
             if (k := first_true(~inside)) is not None:
                 Location(f"{place}: at {k * period_s:.4g} s").refuse(
                     f"{name} of {joint.name}",
@@ -205,7 +210,8 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
         np.array([joint.si(quantity) for joint in robot.joints]) * APPROACH_SHARE
         for quantity in ("speed", "acceleration")
     )
-    # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
+    # The largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second are 1.875 and
+    # 5.774.
     duration_s = float(
         np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(
             initial=0.2

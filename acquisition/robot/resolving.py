@@ -157,7 +157,7 @@ def _drive(
     at = Location(place, f"bus.drive[{i}]")
     objects = _objects(robot, file, at)
 
-    # The objects that robot.toml names.
+    # Find the objects that robot.toml names.
     word = "reference" if file.reference is not None else "actual"
     effort = _effort(file, word, objects.entry(word, getattr(file, word)), robot.motors[i], at)
     status, control, position, target = (
@@ -175,7 +175,7 @@ def _drive(
     extras = tuple(objects.entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
     measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
 
-    # The PDOs that carry them, and the codecs.
+    # Build the PDOs that carry them, and the codecs.
     mapped = _mapped(objects, confirmed)
     codec = cia.PositionCodec(
         counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
@@ -199,7 +199,7 @@ def _drive(
 
     # Each object of a sample needs a PDO from the drive.
     absent = [entry for entry in measured if drive.carrier(entry, "tpdo") is None]
-    # What another master maps is only seen in its traffic.
+    # The mapping of another master is only visible in its traffic, so a session cannot check it.
     if absent and (confirmed is not None or file.mapping != "traffic"):
         reasons = [
             f": {index:04X}:{sub} {text}"

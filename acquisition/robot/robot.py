@@ -23,9 +23,9 @@ from .description import Capsule, Joint, Motor, RobotFile
 from .fit_tables import GAINS, Controller, Identification, PayloadFile
 from .toml import InvalidValueError, parse_toml
 
-# of the drives of a dry run, replaces [controller]
+# This attachment describes the drives of a dry run, and replaces [controller].
 SIMULATED_CONTROLLER = "simulated_controller.toml"
-# Guards of [bus] and [[joint]] above these would stop nothing.
+# Guards of [bus] and [[joint]] above these values would not stop anything in time.
 MAX_BUS_GUARDS = {
     "heartbeat_s": 1.0,
     "late_sync_s": 1.0,
@@ -38,7 +38,8 @@ MAX_JOINT_GUARDS = {
     "speed_deg_s": 3000.0,
     "speed_m_s": 20.0,
 }
-_OTHER_FILES = {  # by their first byte
+# Other files by their first byte, and what to do with them.
+_OTHER_FILES = {
     b"<": ("a URDF", "Make a robot.toml from it: `robot-identify init {0} -o robot.toml`"),
     b"{": (
         "a JSON file",
@@ -46,7 +47,7 @@ _OTHER_FILES = {  # by their first byte
     ),
     b"\x89": ("a recording", "Pass the robot.toml"),
 }
-# before a mesh's name in the URDF: the name of its attachment, a label, never a path
+# The attachment of a mesh has this prefix before its name in the URDF: a label, never a path.
 _MESH = "mesh:"
 
 
@@ -113,7 +114,8 @@ class Robot:
     @cached_property
     def zero(self) -> Array:
         """Joint positions (n,) at motor position 0, rad or m."""
-        return np.broadcast_to([j.si("zero") or 0.0 for j in self.joints], self.n)  # read-only
+        # The broadcast array is read-only, as the robot is.
+        return np.broadcast_to([j.si("zero") or 0.0 for j in self.joints], self.n)
 
     @cached_property
     def bandwidth_hz(self) -> float:
@@ -147,7 +149,8 @@ class Robot:
     @cached_property
     def saturation(self) -> Array:
         """Limits (n,) of the motors' efforts, as recorded; infinite without a limit."""
-        return np.broadcast_to(  # read-only, as the robot is
+        # The broadcast array is read-only, as the robot is.
+        return np.broadcast_to(
             [np.inf if m.saturation is None else m.saturation for m in self.motors], self.n
         )
 
@@ -244,8 +247,8 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     return robot_from_files(files, str(path))
 
 
-# A new description may have no key without effect and no guard without effect; recordings that have
-# one can still be read.
+# A new description may not have keys or guards without effect. Recordings that have one can still
+# be read, so this is not checked in the structures.
 def _refuse_idle_keys(c: Controller, place: Location) -> None:
     idle: dict[str | None, tuple[str, ...]] = {
         None: ("sample_rate_hz", *GAINS, "velocity_estimate"),
@@ -271,7 +274,8 @@ def _refuse_wide_guards(document: RobotFile, place: Location) -> None:
     joints = ((f"joint[{i}]", joint, MAX_JOINT_GUARDS) for i, joint in enumerate(document.joint))
     for table, stated, guards in (("bus", document.bus, MAX_BUS_GUARDS), *joints):
         for name, most in guards.items():
-            value = getattr(stated, name, None)  # also without a bus
+            # A description without a bus has no such keys.
+            value = getattr(stated, name, None)
             place.at(table).require(
                 value is None or value <= most, name, value, f"at most {most:g}"
             )
@@ -280,7 +284,8 @@ def _refuse_wide_guards(document: RobotFile, place: Location) -> None:
 def _companion(path: Path, name: str, key: str) -> bytes:
     try:
         return (path.parent / name).read_bytes()
-    except (OSError, ValueError) as error:  # the latter for a zero character in the name
+    # A zero character in the name raises ValueError.
+    except (OSError, ValueError) as error:
         Location(str(path)).refuse(
             key, name, text=f"the file cannot be read: {getattr(error, 'strerror', error)}"
         )
@@ -319,7 +324,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
             text="the URDF is missing beside robot.toml",
         )
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
-        # a typing error; the model looks at the tree
+        # This finds typing errors; the model checks the tree of links.
         at.require(
             f.payload.frame is None or f.payload.frame in urdf,
             "payload.frame",
@@ -387,13 +392,13 @@ def marks_of_motion(text: str) -> list[int]:
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Location) -> tuple[Joint, ...]:
     """Give joints without an effort limit that of the URDF, unless it is 0 or missing."""
     try:
-        # not of transmissions
+        # Joints inside of transmissions have no limits, so only those at the top are read.
         limits = {
             joint.get("name"): limit.get("effort", "")
             for joint in ET.fromstring(urdf).findall("joint")
             for limit in joint.findall("limit")[:1]
         }
-    # reported by the code that needs the URDF's model
+    # The code that needs the model reports a URDF that cannot be read.
     except (ET.ParseError, ValueError, LookupError):
         return joints
     out = []

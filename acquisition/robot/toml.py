@@ -20,7 +20,7 @@ T = TypeVar("T")
 MAX_TOML_BYTES = 256 * 1024
 MAX_LINE_BYTES = 2000
 
-# Of msgspec's messages, in the words of TOML.
+# The words of msgspec's messages, and those of TOML that replace them.
 _WORDS = {
     "Object contains unknown field": "there is an unknown key",
     "Object missing required field": "a key is missing:",
@@ -110,7 +110,8 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
         data = tomllib.loads(text.decode("utf-8"))
         for key, number in _not_finite(data, ""):
             file.refuse(key, number, "a finite number")
-    except (ValueError, RecursionError) as error:  # bad UTF-8 and endless digits raise the first
+    # Wrong UTF-8 and endless digits raise ValueError.
+    except (ValueError, RecursionError) as error:
         file.refuse(text=f"this is not valid TOML: {error}")
     try:
         return msgspec.convert(data, kind)
@@ -136,7 +137,7 @@ def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     for step in re.findall(r"\w+|\[[^]]*\]", path):
         if isinstance(at, msgspec.inspect.UnionType):
             types = (t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
-            # the list for an item of it, else the first type
+            # A step into a list needs the list among the types; otherwise the first type is right.
             at = max(
                 types,
                 key=lambda t: step.startswith("[") and isinstance(t, msgspec.inspect.VarTupleType),

@@ -146,7 +146,6 @@ def test_without_robot_map_and_init_are_proposed(tmp_path, monkeypatch, capsys):
     assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
     out = capsys.readouterr().out
     assert (
-        "note: torque sensors behind the gears do not see the rotors: state rotor_inertia = false "
-        "in " in out
+        "note: joint torque sensors do not see the rotors: state rotor_inertia = false in " in out
     )
     assert "x.mcap: two, 400 samples at 100 Hz" in out

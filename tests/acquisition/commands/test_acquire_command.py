@@ -82,7 +82,7 @@ def test_info_shows_all_without_terminal_codes(tmp_path, capsys):
     for part in (
         "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200",
         "CAN can0",
-        f"240 frames, {sent} of them sent, 0.239 s", "../../etc/drive.eds (11 bytes)", "whole",
+        f"240 frames, {sent} of them sent, 0.239 s", "../../etc/drive.eds (11 bytes)", "complete",
         "shoulder", "elbow", "track",
         "stop", "gaps      none", "s from the first sample",
     ):  # fmt: skip

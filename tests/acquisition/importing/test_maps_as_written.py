@@ -276,7 +276,7 @@ def test_bursts_are_resolved_by_given_rate(tmp_path, monkeypatch, capsys, kind):
     noisy = Q + 1e-4 * NOISE.normal(size=Q.shape)
     (tmp_path / "x.csv").write_bytes(csv(BURSTS[kind], noisy, U, header=NAMED))
     samples = imported(tmp_path, monkeypatch, "x.csv", RAD | NM)
-    assert "resample_hz = 250 # stamps come in bursts" in (tmp_path / "x.map.toml").read_text()
+    assert "resample_hz = 250 # timestamps come in bursts" in (tmp_path / "x.map.toml").read_text()
     assert "times: even times of 1200 rows" in capsys.readouterr().out
     assert len(samples) == N
     assert np.abs(samples["position"] - noisy).max() < 1e-8

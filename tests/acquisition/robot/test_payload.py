@@ -51,7 +51,7 @@ def arm(table: str = "", **parts: str) -> Robot:
 @pytest.mark.parametrize(
     ("text", "payload", "words"),
     [
-        ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
+        ("2.805", Payload(2.805), "2.805 kg, centre of mass not given"),
         (
             "2.805@0.03,0.15,-0.16",
             Payload(2.805, (0.03, 0.15, -0.16)),

@@ -346,7 +346,7 @@ def test_payload_option_with_fit_description(folder, tmp_path, capsys):
     told = refused(
         capsys, "validate", out, folder / "loaded_true.mcap", "--payload", "loaded_true=unknown"
     )
-    assert "payload = 'unknown mass, centre of mass not stated': has no mass. Give" in told
+    assert "payload = 'unknown mass, centre of mass not given': has no mass. Give" in told
 
 
 def test_gains_without_reference_use_measured_motion(pair, fit):

@@ -103,5 +103,5 @@ def test_unattachable_recording_refused(tmp_path, monkeypatch):
     with pytest.raises(BadInputError, match="urdf: the file is not valid XML: no element found"):
         load_robot(path)
     path.write_text(path.read_text().replace('urdf = "arm.urdf"\n', ""))
-    with pytest.raises(BadInputError, match="urdf_meshes = True: there is no urdf"):
+    with pytest.raises(BadInputError, match=r"urdf_meshes = True: robot.toml has no urdf"):
         load_robot(path)
