@@ -40,7 +40,7 @@ class Number:
 
 Cell = str | Number
 Row = tuple[Cell, ...]
-# headings, and whether the column has numbers, aligned right
+# Each column has its heading and a flag: columns of numbers are aligned right.
 Columns = tuple[tuple[str, bool], ...]
 
 
@@ -140,7 +140,7 @@ def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
 
     A number that is not finite becomes null.
     """
-    # numpy's to Python's
+    # The standard library cannot write numpy's numbers, so convert them first.
     plain = json.loads(
         msgspec.json.encode(
             content if isinstance(content, ResultFile) else {"format": FORMAT, **content},

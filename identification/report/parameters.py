@@ -25,13 +25,13 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 
 _Question = Callable[[str], re.Match[str] | None]
 
-# of the robot, not of a payload or a gain
+# A base parameter belongs to the robot, not to a payload or a drive gain.
 is_base: _Question = re.compile(r"[^:@]*(@|$)").match
-# a base parameter of one recording alone
+# A per-recording parameter carries the name of its recording.
 is_own: _Question = re.compile(r"[^:@]*@").match
 is_gain: _Question = re.compile(r"K:").match
 is_load: _Question = re.compile(r"mu").match
-# the name without its recording: Off1 of Off1@A
+# Without its recording, Off1@A becomes Off1.
 base_name: Callable[[str], str] = partial(re.compile(r"\A([^:@]*)@.*", re.DOTALL).sub, r"\1")
 
 

@@ -22,7 +22,7 @@ from .document import Columns, Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
-# with white text, 4.5 : 1
+# White text on these colours has the contrast of 4.5 : 1 that WCAG asks for.
 BADGES = {"trust": "#007a59", "caution": "#946200", "do not use": "#b0301c"}
 SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
@@ -65,7 +65,8 @@ def _print_section(console: Console, section: Section, width: int) -> None:
 
 
 def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
-    # no break between a number and its unit; a line has no NUL
+    # Keep a number and its unit together. NUL stands in for the blank, because a line never
+    # contains it.
     for line in textwrap.wrap(
         one_line(text).replace(" %", "\0%"),
         width,
@@ -160,7 +161,7 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
 
     `figures` follow the first sections that have no table.
     """
-    # the tiles have the figures
+    # The tiles show the figures, so the heading leaves them out.
     title = document.title.split("; ")[0] if document.badge else document.title
     sections = document.sections
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))

@@ -25,7 +25,8 @@ from ..report import ConsistentFile, StandardParameter
 from .evidence import Evidence, errors_on, validated
 from .parameters import refuse_unknown_gain
 
-# of the variance by the prior alone: above, the value is more from the prior than the recording
+# Above this share of the variance by the prior alone, a value comes more from the prior than from
+# the recording.
 MIN_PRIOR_SHARE = 0.5
 
 

@@ -70,7 +70,8 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
         "least_squares_error_percent": errors_on(by_ls)[-1].relative_error_percent
         if by_ls
         else UNSET,
-        # that of the first recording; others of several may have their own
+        # Scripts expect one delay, so this is that of the first recording; others may have their
+        # own.
         "lag": next(
             (
                 report.LagFile(

@@ -190,7 +190,7 @@ def _left_out(fit: FitFile) -> str:
 
 def _parameters(fit: FitFile) -> Section:
     prior, joints = any(p.prior is not UNSET for p in fit.parameters), [x.name for x in fit.joints]
-    # masses and inertias before friction
+    # Readers look for masses and inertias first, so friction comes after them.
     ordered = sorted(fit.parameters, key=lambda p: not p.name.startswith(("Ia", *OF_LINKS)))
     rows = [
         (

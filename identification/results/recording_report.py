@@ -120,7 +120,7 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     if (found := first_ahead(recordings)) is None:
         return []
     joints, (error, way) = recordings[0].signals.robot.joints, found
-    # a joint that stands has no way that its error could be compared with
+    # A joint at rest has not moved, so its error cannot be compared with a distance.
     percents = 100 * error / np.where(way > 0.01 * way.max(axis=1, keepdims=True), way, np.nan)
     rows: list[Row] = [
         (joint.name, *(Number(x, ".3g") for x in of_joint))
@@ -260,7 +260,7 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
             rows=rows,
             total=True,
         ),
-        # a line above has all joints
+        # A line above already has the error of all joints together.
         short=Section(
             lines=(f"Torque error in motion by joint: {', '.join(each)}",) if len(each) > 1 else ()
         ),
@@ -360,7 +360,7 @@ def _payload_section(one: PayloadOfFit, joint: str) -> Section:
             _row(
                 name,
                 of.value / m,
-                # that of the mass is included
+                # The centre is a quotient by the mass, so the uncertainty of the mass is included.
                 float(np.hypot((of.half_width or 0.0) / m, of.value / m**2 * width)),
                 of,
                 "m",

@@ -33,16 +33,18 @@ from .evidence import Case, TrustInputs, Words, assume
 
 AHEAD = (kinds.ASYMMETRIC, kinds.TILT, kinds.RATIO)
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
-# share of a column's norm outside the span of W, for a usable coefficient
+# Below this share of its norm outside the span of W, the coefficient of a column is too uncertain
+# to be usable.
 MIN_INDEPENDENT_NORM = 0.01
-# the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
+# Below this share, of its norm or of that of the torque, a column is rounding and cannot bias
+# anything.
 MIN_BIAS = 1e-6
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
-# of what a kind takes together, for its rank: any slow error looks like a spring, and many columns
-# take more than one
+# The share of a kind is reduced for its rank, because any slow error resembles a spring, and
+# because many columns explain more than one does.
 SHARES = {kinds.SPRING: 0.5, kinds.CURVED: 0.5, kinds.HYSTERESIS: 0.5, kinds.IN_PARTS: 0.8}
 MIN_RIVAL = 0.8  # of what the first kind takes: another that takes as much may be the cause too
-# error of a zero; a larger one that is not noticed is assumed away
+# A zero error that goes unnoticed up to this size is harmless; above it becomes an assumption.
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
 
 
@@ -56,11 +58,12 @@ def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
     terms = [term for term in every if np.isfinite(term.noticed)]
     found = [term for term in terms if term.found]
     first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
-    # another kind at the same joint that explains as much
+    # Name a second kind at the same joint if it explains as much, because the data cannot decide
+    # between the two.
     rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
     least = MIN_RIVAL * first.together_percent
     told = [first, *(x for x in rivals if x.together_percent > least)][:2]
-    # a rotor that is allowed takes what another kind explains, and hides it
+    # A rotor inertia, once allowed, absorbs what another kind explains, so it comes last.
     told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
         x.finding if x is not told[0] and x.kind == kinds.ROTOR else f"{x.finding}: {x.advice}"
@@ -153,7 +156,7 @@ def missing_terms(evidence: TrustInputs) -> tuple[MissingTerm, ...]:
     """
     found, asked = list[MissingTerm](), evidence.candidates.terms
     release_memory(evidence.observed.C)
-    # of parts of the time those of a joint, which have to be told apart
+    # Terms of parts of the time are compared joint by joint, because they must be distinguished.
     for (kind, _), of in groupby(
         asked, lambda x: (x.kind, x.joint if x.kind == kinds.IN_PARTS else None)
     ):

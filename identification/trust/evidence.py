@@ -23,9 +23,9 @@ from ..report import Assumed, Level, Method, TrustResult, is_gain
 from .candidates import Candidates
 
 BY_PRIOR = "held-out blocks by the prior"
-# worst first
+# The order is worst first, because the first level of a fit is its verdict.
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "inconclusive", "skipped", "ok")
-# name, value, half-width of the 95 % interval, expected value
+# A figure is a name, a value, the half-width of its 95 % interval, and the expected value.
 Figure = tuple[str, float, float, float]
 
 

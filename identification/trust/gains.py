@@ -12,7 +12,8 @@ from .evidence import Case, TrustInputs, Words, assume, figures_of, worst_of
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-# no smaller one is reported; larger where 3 deviations of the median show it
+# Smaller factors are within the scatter of catalogues; up to the second one, three standard errors
+# of the median must confirm it.
 LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 

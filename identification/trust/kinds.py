@@ -18,11 +18,12 @@ from ..model import DirectModel, base_prior, direct_model
 from ..regression import MotionBlock, Problem, row_blocks, smooth
 
 MIN_ARM_M = 1e-9  # of a weight about an axis
-# of a joint's travel, in which hysteresis turns from one side to the other
+# Hysteresis changes sides within these shares of a joint's travel; hoses and cables lie between
+# them.
 TRAVELS = (0.1, 0.2)
 FORGOTTEN = 1e-12  # share of z that is left after the way since
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
-# of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+# Stribeck friction has fallen to Coulomb friction at about this share of the peak speed.
 STRIBECK_SPEED_RATIO = 0.2
 STRIBECK, ASYMMETRIC, SPRING = "Stribeck friction", "asymmetric friction", "spring"
 CURVED = "spring that is not linear"
@@ -33,7 +34,7 @@ PARTS = 6  # of the time
 POSITIVE = (STRIBECK, ROTOR, HYSTERESIS)  # their values
 # Near reversals, friction that rises smoothly looks like these.
 IN_FAST_ROWS = (LAG, CLOCKS)
-# at which the torque of the links is computed: smooth, and low-passed to half a sample a row
+# The torque of the links is smooth and low-passed, so a few samples per row suffice.
 SAMPLES_A_ROW = 4
 SELECT_TERMS = "Run `robot-identify friction`"
 
@@ -132,7 +133,8 @@ def dahl(steps: Array, begin: Array) -> Array:
     return z
 
 
-# (N, n) per unit of a candidate along a motion, by what `_of_links` gives there, of its k-th place
+# A torque is (N, n) per unit of the candidate at its k-th place along a motion; the third argument
+# is the result of `_of_links` there.
 Torque = Callable[[About, MotionBlock, Array, int], Array]
 
 
@@ -398,7 +400,7 @@ KINDS = (
         lacks=lambda of, k: "coulomb" in of.robot.joints[k // PARTS].terms,
         missing="",
     ),
-    # the coefficient of a predicted torque is the gain relative to others, less 1
+    # The coefficient of a predicted torque is the gain relative to the other joints, minus 1.
     Kind(
         name="relative gain",
         torque=lambda of, x, *_: 0.01 * x.tau,

@@ -128,7 +128,8 @@ def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], f
     """Return the physically impossible values of the estimate, and the lowest eigenvalue of M on
     the trajectory.
     """
-    # by recording the base parameters (b, e) in the estimate
+    # Per-recording parameters are tested at the speeds of their own recording, so select them by
+    # recording, (b, e).
     own = [np.array(arm.names)[:, None] == evidence.estimate.names for arm in evidence.arms]
     of_inertia, lowest = _finding_of_inertia(evidence, np.any(own, axis=0), check)
     found = (
@@ -145,12 +146,12 @@ def _findings_below_zero(
     """Return findings on joints with negative friction or rotor inertia."""
     idm, base, names = evidence.problem.model, evidence.problem.base, evidence.names
     apart, by_base = any(map(is_own, evidence.estimate.names)), np.linalg.pinv(base.K)
-    # by joint and kind: half-widths, and a text
+    # Two findings of one joint confirm each other, so collect them by joint and kind.
     beyond = dict[tuple[int, str], tuple[float, str]]()
     for k, (matrix, first, of) in product(
         range(len(names) if apart else 1), requirements(idm, shaped=False)
     ):
-        # of base parameters, which do not separate rotors regrouped with links
+        # Base parameters do not separate rotors that are regrouped with links, so test the sums.
         G = matrix @ by_base
         if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G @ own[k]).any():
             continue
@@ -272,7 +273,7 @@ def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
     base, rows, weighs = evidence.problem.base, evidence.observed, evidence.candidates.weighs
     if not len(weighs):
         return None
-    # by unknown its column at rest
+    # At rest only gravity acts, so the columns of the links' weight are all that is needed.
     same = np.array(base.names)[weighs][:, None] == np.array(rows.system.names)
     # The small R factor has the same column products as the rows.
     A = np.c_[rows.G, rows.system.W, rows.system.Y]
@@ -291,7 +292,7 @@ def consistent_test(evidence: TrustInputs) -> TrustResult | None:
     problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:
         return CONSISTENT.judge({"unknown gains": True})
-    # of own parameters those of one recording
+    # Per-recording parameters have several values; those of one recording make a consistent robot.
     beta, of_fit = estimate.values_of(names), (estimate, evidence.intervals)
     covariance = estimation.covariance_of_all(names, *of_fit, evidence.least_squares)
     pairs = zip(evidence.problems, evidence.arms, strict=True)

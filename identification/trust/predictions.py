@@ -30,9 +30,9 @@ BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
 MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
 
-# decimated torque (rows, n), that predicted by sets of estimates (K, rows, n), each of a set in an
-# equal span of each recording, which rows count, by recording their instants, and the row of the
-# fit at or after each
+# A prediction returns the decimated torque (rows, n), the one predicted by each set of estimates
+# (K, rows, n), which rows count, and by recording the instants and the rows of the fit. Each
+# estimate of a set predicts an equal part of each recording.
 Predict = Callable[..., tuple[Array, Array, Bools, list[Array], list[Ints]]]
 
 

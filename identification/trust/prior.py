@@ -38,7 +38,8 @@ from .evidence import Case, TrustInputs, Words, figures_of
 
 MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
 MAX_SPREAD = 1.5  # of equal factors
-# of a joint's square, without what is not of links, for its factor to be one of the prior's
+# A factor is judged only if the links explain at least this share of a joint's squared torque,
+# because otherwise friction decides it.
 MIN_EXPLAINED = 0.25
 MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts

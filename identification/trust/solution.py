@@ -15,7 +15,8 @@ from .evidence import Case, Part, TrustInputs, Words
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
-# below, weak; above, the instruments are W itself
+# Instruments are weak below the first limit (Staiger and Stock); above the second they are W
+# itself.
 MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10
 MAX_CONDITION = 50.0  # of scaled columns; 7 to 11 of motions of five sines
 
@@ -251,7 +252,7 @@ def halves_test(evidence: TrustInputs) -> TrustResult | None:
     This is a Wald test, with the cosines of both halves as degrees of freedom.
     """
     T, cuts = len(evidence.observed.tau), evidence.ends[1:-1]
-    # recordings are not cut
+    # Cut between recordings where possible, because a half of a recording may excite too little.
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)
     half = evidence.spans(2)[0] if evidence.gains else evidence.between(0, cut)
     first, second = (_solve_part(evidence, part) for part in (half, ~half))

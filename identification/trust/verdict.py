@@ -79,9 +79,9 @@ def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) ->
     yield from (assume(what, **said) for what, it in holds.items() if it)
 
 
-# with tests: functions of the fit's data, each with its row below it
+# Each file has tests as functions of the fit's data, with their rows below them.
 FILES = efforts, gains, rows, drives, solution, physical, prior, columns, predictions
-# the rows of all tests, those of the data first
+# Tests of the data come first, because a fault of the data explains other findings.
 WORDS: Mapping[str, Words] = {
     row.test: row
     for row in sorted(
@@ -145,7 +145,8 @@ def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
     ratio, mistake = efforts.turned_sign(evidence, range(evidence.robot.n))
     if ratio < MAX_WITNESS_RATIO:
         return mistake
-    # a wrong sign of a lone axis changes no error
+    # The sign of a single axis does not change its error, so a large held-out error proves nothing
+    # there.
     return f"{held:.2g} % held out" * (held > MAX_WITNESS_PERCENT and evidence.robot.n > 1)
 
 

@@ -25,7 +25,7 @@ from .panels import (
 )
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
-# drawn samples per cut-off period of long filtered curves, which then look smooth
+# With this many drawn samples per cut-off period a long filtered curve still looks smooth.
 SAMPLES_PER_PERIOD = 20.0
 _BLOCK = 200_000  # samples processed at a time, which limits memory
 
@@ -49,7 +49,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | 
     range, in place of raw derivatives. `simulated` is the robot with the estimate, if the fit
     simulated one. Errors are positions minus the measured one.
     """
-    # the motion of the fit is filtered already
+    # The motion of the fit is filtered already, so it is not filtered twice.
     filtered = (
         {}
         if settings is None or settings.cutoff_hz is None
@@ -65,7 +65,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | 
         lines |= _lines("reference", signals.t_s, {"q": q_ref, "error": q_ref - signals.q})
     simulated = None if fit is None else fit.simulated
     if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
-        # m.t_s is index / rate
+        # The times of the motion are index / rate; the recording's own may be interpolated.
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
         lines |= _lines(
             "simulated", t_s, {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
@@ -163,7 +163,7 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
     ]
     units, plots = [joint.position_unit for joint in joints], []
     for j, joint in enumerate(joints):
-        # joints of one type share a unit, for comparison
+        # Joints of one type share a unit, so that their plots can be compared.
         factor, unit = readable_unit(
             max(x for x, unit in zip(peaks, units, strict=True) if unit == units[j]), units[j]
         )
@@ -231,7 +231,8 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
                 path=path,
                 title=f"torque {joint.name} [{unit}]",
                 curves=(
-                    # behind the model
+                    # The measured curve is wide and drawn first, so that it stays visible behind
+                    # the model.
                     Curve(key="measured", color=MEASURED, line=(one.t_s, tau[:, j]), width=5.0),
                     Curve(key="model", color=PREDICTED, line=(one.t_s, tau_predicted[:, j])),
                     rest,

@@ -292,7 +292,7 @@ def _curve(curve: Curve, axes: tuple[Axis, Axis]) -> str:
     k = extremes(y, max(1, math.ceil(len(y) / max(1.0, float(np.ptp(x))))))
     xy = np.rint(STEPS * np.stack([x[k], y[k]], axis=1)).astype(int)
     steps = " ".join(f"{dx} {dy}" for dx, dy in np.diff(xy, axis=0).tolist() if dx or dy)
-    # one moment, or a constant: a point that is seen
+    # A curve of one moment has no length, so draw a point that can be seen.
     path = f"M{xy[0, 0]} {xy[0, 1]}l{steps.replace(' -', '-') or f'{STEPS:g} 0'}"
     look = f"l {CLASSES[curve.color]}{' dash' if curve.dashed else ''}"
     return f'<path class="{look}" stroke-width="{max(1.2, 0.8 * curve.width):g}" d="{path}"/>'

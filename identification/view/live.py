@@ -327,7 +327,7 @@ class LivePage:
 
     def _style(self, path: str, names: list[str], colors: list[Color]) -> None:
         if names:
-            # it lies behind the position
+            # The band is drawn first, so that it does not hide the position.
             self._recording.log(
                 path,
                 rr.SeriesLines(

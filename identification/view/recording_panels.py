@@ -17,12 +17,12 @@ from .curves import curves_of
 from .panels import GREY, JOINTS, ORANGE, PREDICTED, SKY, VERMILLION, Curve, Graph, Line, Log, Plot
 
 MAX_LINES = 2000  # of the log
-# kinds that are no warnings
+# Events of these kinds are routine; all others are shown as warnings.
 ROUTINE_EVENTS = ("phase", "plan", "mark", "operator", "disabled", "end")
 MIN_SPECTRUM_SAMPLES = 16  # fewer give no spectrum
-# they count no faults, and are much larger than the others
+# These counters do not count faults, and are so large that they would flatten the others.
 UNCHARTED_COUNTERS = ("frames", "syncs")
-# percentiles of the load that curves of friction are drawn at
+# Friction curves are drawn at these percentiles of the load, so that they cover what was recorded.
 LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}
 SPEEDS = np.linspace(0.02, 1.0, 80)  # of these curves in each direction, relative to the peak
 MAX_DOTS = 400  # of a friction chart
@@ -59,7 +59,7 @@ def health_plots(signals: Signals) -> list[Plot]:
         known = np.isfinite(counts)
         if name in UNCHARTED_COUNTERS or name.endswith("_s") or not known.any():
             continue
-        # before and after the samples: at their ends
+        # Events before and after the samples would stretch the axis, so they are drawn at its ends.
         curves.append(
             Curve(
                 key=name,

@@ -37,10 +37,10 @@ def write_rrd(path: Path, picture: Picture) -> None:
     ------
     BadInputError : the file cannot be written.
     """
-    # else Rerun warns
+    # Rerun warns about other characters in the name of an application.
     named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(report.encode()).hexdigest()[:8]}")
-    # in memory: disk errors are then raised by write_bytes below
+    # Collect the file in memory, so that disk errors are raised by write_bytes below.
     stream = recording.binary_stream()
     try:
         recording.send_recording_name(shown_text(picture.name))
