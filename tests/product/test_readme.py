@@ -74,7 +74,7 @@ def test_commands_without_hardware_run(tmp_path, monkeypatch, capsys):
         capsys.readouterr()
         assert IDENTIFY.main(["fit", str(REPLAY / robot / "session.mcap")]) == 0
         shown = re.split(r"^    robot-identify fit .*\n\n", TEXT[page], flags=re.MULTILINE)[1]
-        lines = re.match(r"(    .*\n)+", shown)[0].splitlines()
+        lines = re.match(r"(    .*\n)+", shown)[0].partition("    ...\n")[0].splitlines()
         assert lines[0].startswith(f"    {robot.upper()}: ")
         printed = (line for line in capsys.readouterr().out.splitlines() if "──" not in line)
         # The beginning of the report.
