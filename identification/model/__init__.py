@@ -1,8 +1,8 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters.
 
-It owns the names, units and columns of all parameters, and what makes them physical; it alone
-imports pinocchio and coal. It may use the robot's description of `acquisition` and the estimators,
-but no recordings and no fits.
+It owns the names, units and columns of all parameters, and the conditions of physical consistency;
+it alone imports pinocchio and coal. It may use the robot's description of `acquisition` and the
+estimators, but no recordings and no fits.
 """
 
 from .direct import (

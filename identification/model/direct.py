@@ -1,6 +1,9 @@
-"""The robot's direct dynamic model: its equation of motion with given parameters, and how torques
-change with the motion (Carpentier, Mansard: Analytical Derivatives of Rigid Body Dynamics
-Algorithms, RSS 2018).
+"""The robot's direct dynamic model, and the derivatives of its torques by the motion.
+
+    M(q) ddq + N(q, dq) = tau,     equation (1)
+
+Derivatives: Carpentier, Mansard, Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS
+2018.
 """
 
 import math
@@ -20,27 +23,30 @@ from .joint_terms import SHAPES, SIZES, JointTerm, Kind
 from .parameters import BaseParameters
 
 _POSES = 300  # positions of a trajectory at which M is checked
-# samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
+# Samples per joint; up to this number pinocchio is faster, above it arrays of all samples are.
 _ONE_BY_ONE = 150
-# mass added to each link for gradients, times the sum of masses and first moments: no sum of masses
-# is then zero
+# Mass that is added to each link for gradients, over the sum of masses and first moments: large
+# enough that no sum of masses is zero.
 _DUMMY = 2.0
 _MOMENTS = [FROM_PINOCCHIO[LINK.index(name)] for name in ("M", "MX", "MY", "MZ")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DirectModel:
-    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) +
-    friction = tau, equation (1).
+    """The robot's equation of motion with given parameters, equation (1).
+
+        M(q) ddq + h(q, dq) + friction = tau
 
     Attributes:
-        inverse, links: the inverse model, and the links' parameters (n, 10) in the order of `LINK`.
-        rigid: pinocchio's model with the links' inertias, and its `data`.
+        inverse: inverse dynamic model.
+        links: (n, 10) the links' parameters in the order of `LINK`.
+        rigid: pinocchio's model with the links' inertias.
+        data: pinocchio's data of it.
         rotor: (n, n) rotor part of M.
-        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for
-            dq > 0 and dq < 0 only.
-        directions: (c, n) directions r of friction with a sign, at the speed r·dq.
-        up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, positive if it resists.
+        viscous: (n, n) viscous friction.
+        viscous_up, viscous_down: (n, n) viscous friction for dq > 0 and dq < 0 only.
+        directions: (c, n) directions r of friction with a sign, with the speed u = r·dq.
+        up, down: (c,) Coulomb friction for u > 0 and for u < 0, positive if it resists.
         shapes: further friction along the directions, by kind: factors (c,), positive if they
             resist, and the speeds (c,) of Stribeck friction.
         offset: (n,) constant torque.
@@ -61,23 +67,19 @@ class DirectModel:
     offset: Array
 
     def inertia(self, q: Array) -> Array:
-        """Return inertia matrices (N, n, n) at the positions q (N, n)."""
+        """Return inertia matrices M (N, n, n) at the positions q (N, n)."""
         M = np.empty((len(q), *self.rotor.shape))
         for k, qk in enumerate(np.ascontiguousarray(q)):
             M[k] = pin.crba(self.rigid, self.data, qk)
         return symmetric(M) + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Return the upper triangle of M (n, n) without rotors, and h (n,) without friction, at one
-        state.
-        """
+        """Return the upper triangle of M (n, n) without rotors, and h (n,), at one state."""
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
         return pin.crba(self.rigid, self.data, q), bias
 
     def lone_bias(self) -> Callable[[float], float]:
-        """Return h of a lone joint, without friction, as a function of its position: a + b cos q +
-        c sin q.
-        """
+        """Return h of a lone joint as a function of its position: a + b cos q + c sin q."""
         ahead, up, behind = (
             self.inertia_and_bias(q, np.zeros(1))[1].item()
             for q in np.array([[0.0], [0.5 * np.pi], [np.pi]])
@@ -86,16 +88,15 @@ class DirectModel:
         c, cos, sin = up - a, math.cos, math.sin
 
         def bias(q: float) -> float:
-            q = q if abs(q) < math.inf else math.nan  # the cosine of infinity is an error
+            q = q if abs(q) < math.inf else math.nan  # math.cos raises an error at infinity
             return a + b * cos(q) + c * sin(q)
 
         return bias if b or c else lambda q: a
 
     def gravity(self, q: Array, along: Array | None = None) -> Array:
-        """Return torques (N, n) that hold the robot at rest at the positions q (N, n), without
-        friction.
+        """Return torques (N, n) that hold the robot at rest at the positions q (N, n).
 
-        `along` (3,) replaces the description's gravity, m/s².
+        Friction is not included. `along` (3,), m/s², replaces the description's gravity.
         """
         along = self.rigid.gravity.linear if along is None else along
         still = np.zeros(q.shape)
@@ -111,10 +112,10 @@ class DirectModel:
         dq_sign: Array | None = None,
         rigid: Array | None = None,
     ) -> Array:
-        """Return the torque (N, n) along a motion q, dq, ddq (N, n).
+        """Return the torque (N, n) along a motion q, dq, ddq (N, n), N m or N.
 
-        `rigid` (N, n) is that of the links, where it is known. `dq_sign` (N, n), such as a
-        reference without noise, gives the signs of friction instead of dq.
+        `rigid` (N, n) is the torque of the links, if it is known. `dq_sign` (N, n), such as the
+        speed of a reference without noise, replaces dq in the signs of friction.
         """
         rigid = self.torques_of_links(q, dq, ddq) if rigid is None else rigid
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
@@ -126,8 +127,9 @@ class DirectModel:
     def torques_of_links(
         self, q: Array, dq: Array, ddq: Array, gravity: Array | None = None
     ) -> Array:
-        """Return tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces the
-        description's, m/s².
+        """Return tau_rigid (N, n), the torque of the links, along a motion q, dq, ddq (N, n).
+
+        `gravity` (3,), m/s², replaces the description's.
         """
         rigid = self.rigid
         if len(q) > _ONE_BY_ONE * q.shape[1]:
@@ -141,14 +143,12 @@ class DirectModel:
         return np.array([pin.rnea(rigid, self.data, *state) for state in states]).reshape(q.shape)
 
     def without_sliding(self, dq: Array, ddq: Array) -> Array:
-        """Return the torque (..., n) of rotors, offsets and friction without the sign of a
-        speed.
-        """
+        """Return the torque (..., n) of rotors, offsets and friction without a sign."""
         one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def shape(self, u: Array, rigid: Array) -> Array:
-        """Return the size (..., c) of further friction at speeds u (..., c), not negative.
+        """Return further friction (..., c) at absolute speeds u (..., c).
 
         `rigid` (..., c) are the links' torques along the directions.
         """
@@ -159,7 +159,7 @@ class DirectModel:
         )
 
     def steepness(self, u: Array) -> Array:
-        """Return slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
+        """Return slopes (c,) of the shapes that grow with speed, at speeds u (c,) above zero."""
         return sum(
             (
                 x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0)
@@ -169,8 +169,9 @@ class DirectModel:
         )
 
     def largest_shape(self, u: Array) -> Array:
-        """Return the maximum (c,) of the resisting shapes up to the speeds u (c,), without load-
-        dependent friction.
+        """Return the maximum (c,) of the resisting shapes up to the speeds u (c,).
+
+        Load-dependent friction is not included.
         """
         return sum(
             (
@@ -184,7 +185,7 @@ class DirectModel:
 
     @property
     def load_friction(self) -> Array:
-        """Load-dependent friction of the joints per link torque, (n,)."""
+        """Load-dependent friction of the joints per torque of the links, (n,)."""
         factor = self.shapes["load"][0] if "load" in self.shapes else np.zeros(len(self.directions))
         return np.asarray(factor @ self.directions)
 
@@ -197,8 +198,8 @@ def direct_model_of_base(dynamics: InverseModel, base: BaseParameters, beta: Arr
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """Return the equation of motion (1) of a robot with standard parameters chi (p,), SI.
 
-    Load-dependent friction depends on the torque of chi's links; with
-    `BaseParameters.standard_parameters` these include the rotor inertias that are regrouped with
+    Load-dependent friction depends on the torque of chi's links. With
+    `BaseParameters.standard_parameters` these include the rotor inertias that are regrouped into
     links' parameters.
     """
     assert len(chi) == dynamics.p
@@ -218,7 +219,8 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
             viscous[source.side] += value * source.matrix
         elif source.kind == "offset":
             offset += value * source.direction
-        elif source.kind == "asymmetric":  # |v| is v forwards, -v backwards
+        # |v| is v for one direction of motion and -v for the other.
+        elif source.kind == "asymmetric":
             viscous[1] += value * np.diag(source.direction)
             viscous[-1] -= value * np.diag(source.direction)
         else:
@@ -256,36 +258,32 @@ def symmetric(M: Array) -> Array:
 def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
     """Return a function that solves A x = b for x (n,) from the upper triangle of A (n, n).
 
-    Its x is None if A is not positive.
+    Its result is None if A is not positive definite.
     """
     factors = eigenpy.LLT(n)
 
     def solve(A: Array, b: Array) -> Any:
-        factors.compute(A.T)  # of which Eigen reads the lower triangle
+        factors.compute(A.T)  # Eigen reads the lower triangle
         return None if factors.info() else factors.solve(b).ravel()  # for a lone joint it is (1, 1)
 
     return solve
 
 
 def poses_of(q: Array) -> Array:
-    """Return some 300 positions (P, n) of a trajectory q (N, n), evenly spaced.
+    """Return about 300 evenly spaced positions (P, n) of a trajectory q (N, n).
 
-    At these the inertia matrix M is checked.
+    The inertia matrix M is checked at these.
     """
     return np.array(q[:: max(1, len(q) // _POSES)])
 
 
 def inertias(M: Array) -> Array:
-    """Return J (n,) in kg m² or kg: each joint's largest diagonal entry of the inertia matrices M
-    (P, n, n).
-    """
+    """Return J (n,), the largest diagonal entries of inertia matrices M (P, n, n), kg m² or kg."""
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
 def why_not_positive(M: Array) -> str | None:
-    """Return why not all inertia matrices M (P, n, n) of a trajectory are positive definite; None
-    if they are.
-    """
+    """Return why inertia matrices M (P, n, n) are not all positive definite; None if they are."""
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
     lowest = float(np.linalg.eigvalsh(M).min())
@@ -296,22 +294,28 @@ def why_not_positive(M: Array) -> str | None:
 def regressor_gradient(
     model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
 ) -> tuple[Array, Array, Array]:
-    """Return gradients (N, n) by q, dq and ddq of sum(G * W).
+    """Return gradients (N, n) of sum(G * W) by q, dq and ddq.
 
-    The `motion` q, dq, ddq is (N, n) each; W (N, n, b) is the regressor of the base parameters, G
-    (N, n, b) is constant. A criterion of W, in the search of exciting references, depends on the
-    motion through G = d criterion / d W. A row of W times any parameters is a torque: row j of
-    sample k times G[k, j] is the torque at joint j of a robot that has the numbers G[k, j] as its
-    parameters. So
+    Parameters
+    ----------
+    model, base : the robot and its b base parameters.
+    motion : q, dq, ddq, (N, n) each.
+    G : (N, n, b) constant weights of the regressor W (N, n, b), such as d criterion / d W in the
+        search for exciting references.
+
+    Notes
+    -----
+    A row of W times any parameters is a torque. Row j of sample k times G[k, j] is the torque at
+    joint j of a robot that has the numbers G[k, j] as its parameters. So
 
         d/dq sum(G * W) = sum_j d/dq tau_j(q, dq, ddq; G[k, j])
 
-    and each term is row j of the derivatives of RNEA, for n robots a sample. Rows of other joints
+    and each term is row j of the derivatives of RNEA, for n robots per sample. Rows of other joints
     are not used, as each robot belongs to one row. Terms of motors and friction have slopes of
     their own.
 
     Pinocchio divides by the mass of a link, which G may make zero. The torque is linear in the
-    parameters, so each link gets a dummy mass, large enough that no sum of masses is zero, and the
+    parameters, so each link gets a dummy mass, large enough that no sum of masses is zero. The
     derivatives of the robot that consists of the dummies alone, n + 1 in all, are subtracted.
     """
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
@@ -326,8 +330,9 @@ def regressor_gradient(
 
 
 def _split(model: InverseModel, base: BaseParameters, dq: Array, G: Array) -> tuple[Array, Array]:
-    """Split G into parameters of links (N, n, n, 10) by row, in pinocchio's order, and the
-    gradients (3, N, n) of motors and friction.
+    """Split G (N, n, b) into parameters of links, and gradients of motors and friction.
+
+    The parameters are (N, n, n, 10) by row, in pinocchio's order; the gradients are (3, N, n).
     """
     links = np.zeros((*G.shape[:2], model.robot.n, len(LINK)))
     out = np.zeros((3, *dq.shape))
@@ -349,7 +354,7 @@ def _slopes_of_robots(
     """Return derivatives (n + 1, 3, N, n, n) of the torques by q, dq and ddq.
 
     They are those of n robots with the parameters `links` (N, n, n, 10), and of one whose links
-    have the mass 1 alone.
+    only have the mass 1.
     """
     (N, n), rigid = motion[0].shape, model.model.copy()
     data, slopes = rigid.createData(), np.empty((n + 1, 3, N, n, n))
@@ -366,9 +371,7 @@ def _slopes_of_robots(
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Return tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q, dq, ddq:
-    the last axis.
-    """
+    """Return tau_rigid (N, n), and its derivatives (3, N, n, n) by q, dq, ddq (last axis)."""
     shape, data = motion[0].shape, model.data
     tau, slopes = np.empty(shape), np.empty((3, *shape, shape[1]))
     for k, state in enumerate(zip(*map(np.ascontiguousarray, motion), strict=True)):
@@ -382,10 +385,10 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
 def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Return the torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n)
-    by q, dq, ddq.
+    """Return the torque (N, n) without friction that has a sign, and its derivatives.
 
-    The motion is (N, n) each; `of_links` are those of `torque_of_links`.
+    The derivatives are (3, N, n, n) by q, dq, ddq; the motion is (N, n) each; `of_links` is as
+    returned by `torque_of_links`.
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down

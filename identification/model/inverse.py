@@ -1,10 +1,12 @@
 """The robot's inverse dynamic model, linear in its standard parameters.
 
-tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's
-names: XX XY XZ YY YZ ZZ (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg),
-rotor inertia Ia, viscous friction Fv, Coulomb friction Fc, offset Off. Asymmetric friction has Fvp,
-Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction are in `joint_terms`. The
-columns of load-dependent friction depend on parameters and are zero here.
+    tau = IDM(q, dq, ddq) chi,     equation (2) of Janot2014
+
+The standard parameters chi have Khalil's names: XX XY XZ YY YZ ZZ (about the origin of the link's
+frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb friction Fc,
+offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors
+and friction are in `joint_terms`. The columns of load-dependent friction depend on parameters and
+are zero here.
 """
 
 import re
@@ -36,17 +38,24 @@ _NUMBERS = (
     ("inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 )
 _FINITE = r"\s+[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*"
-_BLOCK = 2048  # samples: the twists of six joints then fit in the cache
+_BLOCK = 2048  # samples, so that the twists of six joints fit in the cache
 
 
 class InverseModel:
-    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and
-    `units`, link by link.
+    """Inverse dynamic model of a robot.
 
-    `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks
-    the former, `terms` are the latter by column; `nonzero` (n, p) the entries of the regressor that
-    can be non-zero. `coulomb_directions` (c, n) are the directions r of friction with a sign, at
-    the speed r·dq: joints and coupled motors.
+    Attributes:
+        robot: description of the robot, with n joints.
+        model: pinocchio's model.
+        sources: origin of each standard parameter: (link, place in `LINK`), or a term of a joint.
+        terms: terms of joints, by column.
+        names: (p,) names of the standard parameters, link by link.
+        units: (p,) their units.
+        p: number of standard parameters.
+        of_links: (p,) mask of the parameters of links.
+        nonzero: (n, p) mask of the entries of the regressor that can be non-zero.
+        coulomb_directions: (c, n) directions r of friction with a sign, of joints and coupled
+            motors, with the speed r·dq.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -69,7 +78,7 @@ class InverseModel:
             len(self.names),
             np.array([not isinstance(s, JointTerm) for s in self.sources]),
         )
-        # joint j carries link i
+        # A parameter of a link affects all joints that carry it.
         self.nonzero = np.zeros((n, self.p), dtype=bool)
         for c, s in enumerate(self.sources):
             self.nonzero[s.rows if isinstance(s, JointTerm) else self._carriers[s[0]], c] = True
@@ -77,8 +86,9 @@ class InverseModel:
         self.coulomb_directions = np.array(list(dict.fromkeys(along))).reshape(-1, n)
 
     def entries(self, columns: Ints) -> Ints:
-        """Return the entries (E, 2) of the regressor that can be non-zero: (joint, place in
-        `columns`).
+        """Return the entries (E, 2) of the regressor that can be non-zero.
+
+        Each is a joint and a place in `columns`.
         """
         return np.argwhere(self.nonzero[:, columns])
 
@@ -101,8 +111,9 @@ class InverseModel:
         return out
 
     def regressor(self, q: Array, dq: Array, ddq: Array, columns: Ints | None = None) -> Array:
-        """Return the regressor (N, n, b) over the motion q, dq, ddq (N, n): its `columns` (b,), or
-        all.
+        """Return the regressor IDM (N, n, b) over the motion q, dq, ddq (N, n).
+
+        It has the given `columns` (b,), or all.
         """
         columns = np.arange(self.p) if columns is None else columns
         entries, W = self.entries(columns), np.zeros((*q.shape, len(columns)))
@@ -112,7 +123,7 @@ class InverseModel:
     def link_parameters(self) -> Array:
         """Return the URDF's parameters (n, 10) of the links in the order of `LINK`.
 
-        They include fixed and locked links; they are zero for DH rows.
+        They include fixed and locked links; they are zero for a robot given by DH rows.
         """
         return np.array(
             [inertia.toDynamicParameters() for inertia in list(self.model.inertias)[1:]]
@@ -120,14 +131,14 @@ class InverseModel:
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """Parent link of each joint: 0 the base, j the link that joint number j moves."""
+        """Parent link of each joint: 0 is the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
     @cached_property
     def joint_frames(self) -> tuple[Array, Array, Array]:
-        """Frames of the joints at position zero: origin (n, 3), rotation (n, 3, 3) and axis (n, 3).
+        """Frames of the joints at position zero: origin (n, 3), rotation (n, 3, 3), axis (n, 3).
 
-        Origin and rotation of a link's frame are in the parent link's frame; the axis is in the
+        Origin, m, and rotation of a link's frame are in the parent link's frame; the axis is in the
         link's frame.
         """
         placements = list(self.model.jointPlacements)[1:]
@@ -136,7 +147,7 @@ class InverseModel:
         for j, joint in enumerate(self.robot.joints):
             column = np.asarray(
                 pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL)
-            ).reshape(6, -1)[:, j]  # for a single joint pinocchio returns a vector
+            ).reshape(6, -1)[:, j]  # of a robot with a single joint, pinocchio returns a vector
             axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
         return (
             np.array([p.translation for p in placements]),
@@ -145,8 +156,9 @@ class InverseModel:
         )
 
     def placements(self, q: Array) -> tuple[Array, Array]:
-        """Return the links' frames in the base at the positions q (N, n): origins (N, n, 3),
-        rotations (N, n, 3, 3).
+        """Return the links' frames in the base frame at the positions q (N, n).
+
+        These are origins (N, n, 3), m, and rotations (N, n, 3, 3).
         """
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
         for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
@@ -158,9 +170,13 @@ class InverseModel:
     def torques_of_links(
         self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array
     ) -> Array:
-        """Return torques (K, N, n) of links with each of the `parameters` (K, n, 10) over a motion.
+        """Return torques (K, N, n) of links with each of K sets of parameters, N m or N.
 
-        The parameters are in the order of `LINK`; the motion q, dq, ddq is (N, n).
+        Parameters
+        ----------
+        motion : q, dq, ddq, (N, n) each.
+        parameters : (K, n, 10) in the order of `LINK`.
+        gravity : (3,) in the base frame, m/s².
         """
         (N, n), K, unit_wrenches = motion[0].shape, len(parameters), (_FORCES, _MOMENTS)
         tau = np.zeros((K, n, N))
@@ -174,9 +190,7 @@ class InverseModel:
     def _twists(
         self, motion: tuple[Array, Array, Array], links: int, gravity: Array
     ) -> Iterator[tuple[slice, list[Array]]]:
-        """Return by block of samples the twists of the base and of the first links, as
-        `_carried`.
-        """
+        """Yield the twists of the base and of the first links, as `_carried`, by block of samples."""
         base = np.zeros((2, 3, 2, 1))
         base[0, :, 1, 0] = -gravity
         for k in range(0, len(motion[0]), _BLOCK):
@@ -187,11 +201,10 @@ class InverseModel:
             yield slice(k, k + _BLOCK), twists
 
     def _carried(self, i: int, before: Array, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the twists of link i in its frame (linear and angular, 3, 2 + joints that carry
-        it, N).
+        """Return the twists of link i in its frame, (linear and angular, 3, 2 + joints, N).
 
-        They are its velocity, its acceleration minus gravity, and its velocity for each of these
-        joints at unit speed; `before` are those of its parent.
+        They are its velocity, its acceleration minus gravity, and its velocity for each joint that
+        carries it at unit speed; `before` are the twists of its parent.
         """
         origin, axis, R, by_sin, by_cos = self._placements[i]
         prismatic = int(self.robot.joints[i].type == "prismatic")
@@ -220,8 +233,9 @@ class InverseModel:
 
     @cached_property
     def _placements(self) -> list[tuple[Array, ...]]:
-        """Placement of each joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its
-        rotation R + by_sin sin q + by_cos cos q.
+        """Placement of each joint, with the rotation R + by_sin sin q + by_cos cos q.
+
+        It has origin (3, 1), axis (3,), and R, by_sin, by_cos (3, 3, 1).
         """
         turning = np.array([joint.type == "revolute" for joint in self.robot.joints])
         crosses = np.cross(np.eye(3), self.joint_frames[2][:, None]) * turning[:, None, None]
@@ -244,15 +258,15 @@ def link_columns(idm: InverseModel) -> Ints:
 
 
 def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
-    """Return torques (P * joints, N) of the joints that carry a link, for P forces and moments (P,
-    3, 12).
+    """Return torques (P * joints, N) of the joints that carry a link (Khalil2002).
 
-    The forces are those of `_unit_wrenches`. The torque of a joint is v·f + w·n, with the link's
-    velocities v, w at unit joint speed, and the force f and moment n that accelerate the link
-    (Khalil2002).
+        f = M a + dw × MS + w × (w × MS),     n = I dw + w × I w + MS × a
+        torque = v·f + w·n,     v, w the link's velocities at unit joint speed
+
+    P forces f and moments n, (P, 3, 12) each, are as in `_unit_wrenches`.
     """
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
-    # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
+    # The accelerations and products of velocities that f and n are linear in.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
     N, pushed = of.shape[1], forces.any(axis=(1, 2))
     out = np.einsum(
@@ -266,7 +280,7 @@ def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
 
 
 def _unit_wrenches() -> tuple[Array, Array]:
-    """Return force and moment (10, 3, 12) of a link by parameter of LINK.
+    """Return force and moment (10, 3, 12) of a link per unit of each parameter of `LINK`.
 
     They are linear in its acceleration a, its angular acceleration dw, and the products wx wx, wx
     wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
@@ -298,9 +312,7 @@ _FORCES, _MOMENTS = _unit_wrenches()
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
-    """Return the unit of a link parameter; with A or V in place of N m or N if the gain is
-    unknown.
-    """
+    """Return the unit of a link parameter; it has A or V if the drive gain is unknown."""
     link, place = source
     power = 2 if place < 6 else 1 if place < 9 else 0  # kg m², kg m, kg
     if robot.gain_known:
@@ -310,9 +322,9 @@ def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
 
 
 def _model_from_dh(robot: Robot) -> pin.Model:
-    """Build the model from Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r).
+    """Build the model from modified Denavit–Hartenberg rows (Khalil2002).
 
-    These are modified Denavit–Hartenberg rows (Khalil2002).
+    Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)
     """
     model, parent, rotate = pin.Model(), 0, pin.utils.rotate
     for joint in robot.joints:
@@ -330,8 +342,9 @@ def _model_from_dh(robot: Robot) -> pin.Model:
 
 
 def _model_from_urdf(robot: Robot) -> pin.Model:
-    """Build the model of the movable joints that the description names; others are locked at
-    zero.
+    """Build the model of the movable joints that the description names.
+
+    Other joints are locked at zero.
     """
     place, wanted = f"robot {robot.name}: URDF", [joint.name for joint in robot.joints]
     try:
@@ -341,7 +354,8 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         for name in wanted:
             Location(place).require(name in found, "movable joint", name, f"one of {listed(found)}")
         _refuse_malformed_numbers(root, place)
-        for element in root:  # what the model does not need, such as pictures, cannot fail then
+        # Remove what the model does not need, such as visuals, so that it cannot fail.
+        for element in root:
             element[:] = [part for part in element if part.tag in _NEEDED.get(element.tag, ())]
         root[:] = [element for element in root if element.tag in _NEEDED]
         for joint in joints:
@@ -374,7 +388,7 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
 
 
 def _refuse_malformed_numbers(root: ET.Element, place: str) -> None:
-    """Refuse numbers at which the parser prints lines and leaves out, say, the whole inertial."""
+    """Refuse malformed numbers, at which the parser would silently drop e.g. an inertial."""
     for owner, (path, keys, count) in product(root, _NUMBERS):
         needed = count == 1 and owner.find("inertial") is not None
         for part, key in product(owner.findall(path) or [ET.Element(path)] * needed, keys):
@@ -388,14 +402,16 @@ def _refuse_malformed_numbers(root: ET.Element, place: str) -> None:
 
 
 def _make_buildable(joint: ET.Element, place: str) -> None:
-    """Change a joint so that pinocchio builds it: with an axis and very wide limits."""
+    """Change a joint so that pinocchio can build it: with an axis and very wide limits."""
     axis = joint.find("axis") if joint.get("type") != "floating" else None
     if axis is not None and not any(float(x) for x in axis.get("xyz", "1").split()):
-        place = f"{place}: joint {joint.get('name')!r}"  # exporters write it for a floating one
+        # Exporters write a zero axis for floating joints, where it does not matter.
+        place = f"{place}: joint {joint.get('name')!r}"
         raise BadInputError(
             place=place, key="axis", value="0 0 0", expected="a vector other than zero"
         )
-    if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
+    # Pinocchio uses two coordinates for a continuous joint.
+    if joint.get("type") == "continuous":
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits
         ET.SubElement(

@@ -1,23 +1,19 @@
 """Joint torques of motors and friction, as columns of the model: rotor inertia, friction, offset.
 
-With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (a
-joint's or a coupled motor's):
+With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (of a
+joint or of a coupled motor):
 
-| term | torque per unit of the parameter | along | parameters |
-|---|---|---|---|
-| viscous | v | joint, coupled motor | Fv, Fvm |
-| coulomb | sign(u) | direction | Fc, Fcm |
-| offset | 1 | joint | Off |
-| asymmetric | abs(v) | joint | Fa |
-| root | sqrt(abs(u)) sign(u) | direction | Fr, Frm |
-| stribeck | exp(-(u/u_s)²) sign(u), u_s a given speed | direction | Fs, Fsm |
-| load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
+| term | torque per unit of the parameter | along | parameters | |---|---|---|---| | viscous | v |
+joint, coupled motor | Fv, Fvm | | coulomb | sign(u) | direction | Fc, Fcm | | offset | 1 | joint |
+Off | | asymmetric | abs(v) | joint | Fa | | root | sqrt(abs(u)) sign(u) | direction | Fr, Frm | |
+stribeck | exp(-(u/u_s)²) sign(u), u_s a given speed | direction | Fs, Fsm | | load | abs(tau_rigid)
+sign(v), tau_rigid the torque of the links | joint | mu |
 
-Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the
-motor turns at r·dq and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist if a
-motor turns with several joints. As usual for coupled wrists, the part of Ia and Fvm that acts on
-one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6,
-and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
+Motors act through the motor matrix. Let r be the row of motor m, divided by its entry at joint m.
+The motor turns at r·dq and adds r' Ia (r·ddq), r' Fvm (r·dq) and r' Fcm sign(r·dq). Fvm and Fcm
+exist if a motor turns with several joints. As usual for coupled wrists, the part of Ia and Fvm that
+acts on one joint only belongs to the Ia and Fv of that joint: on the Stäubli TX40 tau5 has Ia6 ddq6
++ Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +29,7 @@ from ..arrays import Array, Ints
 
 Kind = Literal["rotor"] | FrictionTerm
 ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
-# of further friction, neither viscous nor Coulomb, whose size depends on the speed or the load
+# Sizes of further friction, neither viscous nor Coulomb, by speed or load.
 SIZES = {kind: friction.size for kind, friction in FRICTION.items() if friction.size is not None}
 SHAPES = tuple(SIZES)
 SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
@@ -43,11 +39,20 @@ SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign
 class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
-    rotor: matrix ddq; viscous: matrix dq; offset: `direction`; those of `FRICTION` act along r =
-    `direction`, at u = r·dq. A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one
-    joint. `given_away` (n,) is the part of a motor's diagonal that belongs to other joints'
-    parameters and is not in `matrix`. At `speed` Stribeck friction has fallen to 37 %. `joint` is
-    the number in the name, from 0.
+    Rotor inertia acts by `matrix` ddq, viscous friction by `matrix` dq, an offset by `direction`.
+    The terms of `FRICTION` act along r = `direction`, with the speed u = r·dq.
+
+    Attributes:
+        name: name of the parameter.
+        joint: number in the name, counted from 0.
+        unit: unit of the parameter.
+        kind: kind of the term.
+        matrix: (n, n) torque per acceleration or speed.
+        direction: (n,) direction r.
+        given_away: (n,) part of a motor's diagonal that belongs to other joints' parameters, and is
+            not in `matrix`.
+        side: +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint; 0 for both.
+        speed: speed u_s at which Stribeck friction has fallen to 37 %, rad/s or m/s.
     """
 
     name: str
@@ -67,9 +72,7 @@ class JointTerm:
 
     @property
     def row(self) -> Array:
-        """Speed of its joint or motor per joint speed, (n,), 1 at `joint`; with what `given_away`
-        takes from `matrix`.
-        """
+        """Speed of its joint or motor per joint speed, (n,), which is 1 at `joint`."""
         if self.direction.any():
             return self.direction
         return np.asarray(
@@ -78,8 +81,9 @@ class JointTerm:
         )
 
     def entry(self, j: int, dq: Array, ddq: Array, load: Array | float = 0.0) -> Array | float:
-        """Return the column's entry (N,) at joint j over a motion dq, ddq (N, n); `load` (N,) is
-        the size of the links' torque.
+        """Return the entry (N,) of the column at joint j over a motion dq, ddq (N, n).
+
+        `load` (N,) is the absolute torque of the links.
         """
         if self.kind == "offset":
             return float(self.direction[j])
@@ -96,8 +100,9 @@ class JointTerm:
         return np.asarray(self.direction[j] * (sign * size))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Return derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms
-        with a sign, see `rounded`.
+        """Return derivatives of `entry` by speed (N, n) and by acceleration (n,).
+
+        They are zero for terms with a sign, for which `rounded` exists.
         """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
@@ -113,11 +118,13 @@ class JointTerm:
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
-        """Return friction with a sign along the direction at speeds dq (N, n), without jumps, and
-        its slope, (N,) each.
+        """Return friction with a sign, without jumps, at speeds dq (N, n), and its slope, (N,)
+        each.
 
-        The sign of a speed u becomes x / sqrt(1 + x²), x = u over the creep speed along the
-        direction; the root becomes sqrt(abs(u) + ROOT_ROUNDING). The slope is the derivative by u.
+            sign(u) := x / sqrt(1 + x²),     x = u / creep speed along the direction
+            sqrt(abs(u)) := sqrt(abs(u) + ROOT_ROUNDING)
+
+        The slope is the derivative by u. `creep` (n,) are the creep speeds of the joints.
         """
         friction = FRICTION[self.kind]
         u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))
@@ -129,16 +136,15 @@ class JointTerm:
             if self.kind in SIZES
             else (1.0, 0.0)
         )
-        # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
+        # Friction for one direction of motion is half of sign(u) + 1 or of sign(u) - 1.
         share = 0.5 if self.side else 1.0
         return share * (sign + self.side) * size, share * (size * steepness + slope * sign)
 
 
 def joint_terms(robot: Robot, j: int) -> Iterator[JointTerm]:
-    """Return the described terms numbered j + 1: Ia, friction of the joint, Off, and friction of a
-    motor.
+    """Yield the given terms numbered j + 1: Ia, friction of the joint, Off, friction of a motor.
 
-    The motor's friction is that of one that turns with several joints, at the speed row·dq.
+    A motor has friction of its own if it turns with several joints.
     """
     joint, own, motors = robot.joints[j], np.eye(robot.n)[j], _motor_rows(robot)
     none, square, row = np.zeros(robot.n), np.zeros((robot.n, robot.n)), motors[j]
@@ -179,8 +185,9 @@ def _through_matrix(
     row: Array,
     others: Sequence[int] = (),
 ) -> JointTerm:
-    """Return a term of the matrix rowᵀ row, whose diagonal at `others` belongs to parameters of
-    these joints.
+    """Return a term of the matrix r'r of a motor's `row` r.
+
+    Its diagonal at `others` belongs to parameters of these joints.
     """
     j, whole = blank.joint, np.outer(row, row)
     matrix = whole.copy()
@@ -209,11 +216,10 @@ def _along(robot: Robot, blank: JointTerm, kind: Kind, name: str, direction: Arr
 
 
 def corner_speeds(directions: Array) -> Array:
-    """Return absolute speeds (m, k) along k directions (k, n) at the corners, where the planes d_k
-    dq = 0 meet.
+    """Return absolute speeds (m, k) along k directions (k, n) where the planes d_k dq = 0 meet.
 
-    The power of Coulomb friction sum_k Fc_k |d_k dq| is linear between these planes: if it is not
-    negative at the corners, it is not negative anywhere.
+    The power of Coulomb friction, sum_k Fc_k |d_k dq|, is linear between these planes. If it is not
+    negative at these corners, it is not negative anywhere.
     """
     across, corners = spanning(directions), dict[tuple[float, ...], None]()
     for standing in combinations(directions @ across.T, len(across) - 1):
@@ -233,8 +239,9 @@ def spanning(rows: Array) -> Array:
 
 
 def inertia_unit(robot: Robot, j: int) -> str:
-    """Return the unit of an inertia about joint j's axis, or of a mass moved by it; in A or V if
-    the gain is unknown.
+    """Return the unit of an inertia about joint j's axis, or of a mass that it moves.
+
+    It has A or V if the drive gain is unknown.
     """
     if not robot.gain_known:
         return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
@@ -242,8 +249,9 @@ def inertia_unit(robot: Robot, j: int) -> str:
 
 
 def _motor_rows(robot: Robot) -> Array:
-    """Return the motor matrix (n, n) with each row divided by its entry at the motor's own joint,
-    or else by its largest.
+    """Return the motor matrix (n, n), with each row divided by its entry at the motor's joint.
+
+    If that entry is zero, the row is divided by its largest.
     """
     largest = np.take_along_axis(robot.R, np.abs(robot.R).argmax(axis=1)[:, None], axis=1)
     own = np.diag(robot.R)[:, None]

@@ -1,8 +1,8 @@
-"""Distances between the links of a robot, and to the ground: capsules of the description, or the
-URDF's collision shapes.
+"""Distances between the links of a robot, and to the ground.
 
-Meshes are replaced by their convex hulls; adjacent links are not checked. Distances
-are coal's, by pinocchio.
+Links have the capsules of the description, else the collision shapes of the URDF, with meshes
+replaced by their convex hulls. Adjacent links are not checked. Pinocchio computes the distances
+with coal.
 """
 
 import xml.etree.ElementTree as ET
@@ -22,7 +22,7 @@ from ..errors import BadInputError
 from .inverse import InverseModel
 
 Find = Callable[[str], Path | None]
-"""From the name of a mesh in the URDF to its file, or None."""
+"""Function that finds the file of a mesh by its name in the URDF; None if it is missing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,10 +30,11 @@ class Obstacles:
     """Pairs of shapes that must not touch.
 
     Attributes:
-        model, geometry: pinocchio's models of the joints, and of the shapes and their pairs.
-        near: names of pairs that are too near at all poses and are not checked.
-        missing: meshes of the URDF that are not found; their links are
-            checked partly or not at all.
+        model: pinocchio's model of the joints.
+        geometry: pinocchio's model of the shapes and their pairs.
+        near: names of pairs that are too near at all poses, and are not checked.
+        missing: meshes of the URDF that were not found; their links are checked partly or not at
+            all.
     """
 
     model: Any
@@ -51,23 +52,20 @@ class Obstacles:
         )
 
     def distances(self, q: Array) -> Array:
-        """Return distances (N, P) in m of the pairs at the positions q (N, n), negative where
-        shapes overlap.
+        """Return distances (N, P) of the pairs at the positions q (N, n), m.
+
+        They are negative if shapes overlap.
         """
         found = [[one.min_distance for one in found] for _, found in self._along(q)]
         return np.array(found).reshape(len(q), -1)
 
     def nearest(self, q: Array) -> tuple[float, str]:
-        """Return the smallest distance in m along the positions q (N, n), which are finite, and the
-        name of its pair.
-        """
+        """Return the smallest distance at the positions q (N, n), m, and the name of its pair."""
         apart, pair = min((found[k].min_distance, k) for k, found in self._along(q))
         return float(apart), self.names[pair]
 
     def _along(self, q: Array) -> Iterator[tuple[int, Any]]:
-        """Yield the nearest pair and coal's results of all pairs, at each of the positions q (N,
-        n).
-        """
+        """Yield the nearest pair and coal's results of all pairs, at each position of q (N, n)."""
         data, shapes = self.model.createData(), pin.GeometryData(self.geometry)
         for qk in np.ascontiguousarray(q):
             nearest = pin.computeDistances(self.model, data, self.geometry, shapes, qk)
@@ -75,10 +73,15 @@ class Obstacles:
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles:
-    """Find the pairs of a robot's shapes that must not touch, by given capsules, else by its URDF.
+    """Find the pairs of a robot's shapes that must not touch; the ground is a shape too.
 
-    The ground is a shape too. Pairs that are nearer than `margin_m` at all `poses` (N, n) within
-    the ranges are left out: their distance depends on the shapes, not on the motion.
+    Parameters
+    ----------
+    dynamics : the robot, whose shapes are its capsules, else those of its URDF.
+    find : function that finds the file of a mesh of the URDF.
+    poses : (N, n) positions within the limits.
+    margin_m : pairs that are nearer at all poses are left out, as their distance depends on the
+        shapes, not on the motion.
 
     Raises
     ------
@@ -126,17 +129,16 @@ def _add_capsule(geometry: Any, link: int, name: str, capsule: Capsule) -> None:
 
 
 def _are_adjacent(dynamics: InverseModel, geometry: Any, i: int, k: int) -> bool:
-    """Test whether a joint connects the links of two shapes, of which the first may be the
-    ground.
-    """
+    """Test whether a joint connects the links of two shapes; the first may be the ground."""
     shapes, parents = geometry.geometryObjects, dynamics.model.parents
     a, b = shapes[i].parentJoint, shapes[k].parentJoint
     return shapes[i].name != "ground_0" and bool(parents[a] == b or parents[b] == a)
 
 
 def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing: list[str]) -> None:
-    """Add collision shapes of the URDF's links, meshes as convex hulls; those that are not
-    found go to `missing`.
+    """Add the collision shapes of the URDF's links; meshes become convex hulls.
+
+    The names of meshes that are not found are added to `missing`.
     """
     root = ET.fromstring(dynamics.robot.urdf or "")
     for link in root.iter("link"):

@@ -1,12 +1,14 @@
-"""The parameters of a robot: how the standard ones regroup into base parameters, and what is known
-of them before a fit - of links by the description, by its URDF or by their lengths, and of a
-payload, which the last link carries.
+"""The parameters of a robot: base parameters, and prior knowledge of the standard parameters.
 
-Base parameters are the fewest that give the inverse dynamic model, found numerically (Gautier1991).
-The torque W chi of a robot never shows all its standard parameters chi. Some columns of W are zero
-at every state: what moves no joint, such as the mass of the first link. Others are combinations of
-columns: a rotor inertia acts as the link's ZZ does. Which ones they are depends on the robot alone,
-so W at random states shows it to rounding. Its columns, of norm one, are factored, W = Q R:
+A priori values of links are those of the description, of its URDF, or follow from the links'
+lengths. A payload is given too, and belongs to the last link.
+
+Base parameters are the fewest that give the inverse dynamic model. They are found numerically
+(Gautier1991). The torque W chi of a robot never shows all its standard parameters chi. Some columns
+of W are zero at every state, because their parameter moves no joint, such as the mass of the first
+link. Others are combinations of columns: a rotor inertia acts as the link's ZZ does. This depends
+on the robot alone, so W at random states shows it to rounding. Its columns, scaled to norm one, are
+factored, W = Q R:
 
     |R_cc| > 0    column c is independent of the columns before it: a base parameter
     |R_cc| = 0    W_c = W_independent C_c: its parameter is regrouped into others
@@ -14,9 +16,9 @@ so W at random states shows it to rounding. Its columns, of norm one, are factor
 With W_dependent = W_independent C the torque is W_independent (chi_independent + C chi_dependent),
 hence beta = K chi with K = [1 C] in the order of the columns.
 
-Which columns are kept depends on the order. From the base outwards, links first, it gives the names
-that the literature uses: ZZ1R, XX2R, ...; R marks a regrouped parameter. Further friction terms,
-which a fit may leave out, are kept apart and regrouped with nothing.
+The kept columns depend on the order. From the base outwards, links first, it gives the names that
+the literature uses: ZZ1R, XX2R, ...; R marks a regrouped parameter. Further friction terms, which a
+fit may leave out, are not regrouped.
 """
 
 from collections.abc import Collection
@@ -36,17 +38,17 @@ from ..report import is_load
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel, link_columns
 from .joint_terms import SHAPES
 
-STATES = 200  # random ones; 200 n rows are several times the number of columns
-TOLERANCE = 1e-9  # of a column's norm: the residual of a dependent column is rounding
-MIN_COEFFICIENT = 1e-8  # of C: less is rounding
+STATES = 200  # random states; 200 n rows are several times the number of columns
+TOLERANCE = 1e-9  # of a column's norm; the residual of a dependent column is rounding
+MIN_COEFFICIENT = 1e-8  # of C; less is rounding
 SEED = 2014
-BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia about its centre of mass
+BALL_RADIUS_M = 0.1  # of the ball whose inertia about its centre of mass a payload gets
 DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
-SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length, and limits of the radius
-ROUNDING = 1e-12  # of the largest a-priori value: smaller ones are rounding
-MIN_EIGENVALUE = 1e-4  # of a physical pseudo-inertia, scaled to a diagonal of ones
-MAX_FRAME_DIFFERENCE = 1e-6  # m and rotation entries, of two descriptions of one robot
-POSES, POSES_SEED = 4, 11  # to compare the frames of two descriptions
+SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length; limits of the radius
+ROUNDING = 1e-12  # of the largest a priori value; less is rounding
+MIN_EIGENVALUE = 1e-4  # of the pseudo-inertia of a rigid body, scaled to a diagonal of ones
+MAX_FRAME_DIFFERENCE = 1e-6  # m, and entries of rotations, of two descriptions of one robot
+POSES, POSES_SEED = 4, 11  # poses at which the frames of two descriptions are compared
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,13 +56,13 @@ class BaseParameters:
     """The base parameters beta = K chi of the standard parameters chi.
 
     Attributes:
-        names: (b,) names, with R at the end if other parameters are regrouped into it.
+        names: (b,) names, with the suffix R if other parameters are regrouped into it.
         expressions: (b,) each as a sum of standard parameters.
-        units: (b,) SI units (A or V in place of N m where the drive gain is not known).
+        units: (b,) SI units; A or V replaces N m if the drive gain is not known.
         columns: (b,) their columns in the regressor: W_base = W_standard[:, columns].
         K: (b, p) regrouping matrix.
         masses: (n,) columns of the links' masses M1 ... Mn.
-        links: (b,) whether it is a link's parameter, which may include a rotor inertia, as in ZZ1R.
+        links: (b,) mask of the parameters of links, which may include a rotor inertia, as in ZZ1R.
     """
 
     names: tuple[str, ...]
@@ -83,17 +85,15 @@ class BaseParameters:
         All links whose masses are free have the same mass. Every chi with the same beta gives the
         same motion.
         """
-        # pinocchio divides by masses. Free ones exceed those of beta, so that no
-        # regrouped mass becomes zero.
+        # Pinocchio divides by masses. Free ones are larger than those of beta, so that no regrouped
+        # mass becomes zero.
         chi, given = np.zeros(self.K.shape[1]), beta[np.isin(self.columns, self.masses)]
         chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
         chi[self.columns] = beta - self.K @ chi
         return chi
 
     def without(self, names: Collection[str]) -> "BaseParameters":
-        """Return the base parameters without these, which must be friction terms that are not
-        regrouped.
-        """
+        """Return a copy without the given friction terms, which must not be regrouped."""
         others = [i for i, name in enumerate(self.names) if name not in names]
         return replace(
             self,
@@ -107,27 +107,23 @@ class BaseParameters:
 
 
 def load_parameters(base: BaseParameters) -> tuple[str, ...]:
-    """Return names of the load-dependent friction parameters mu1, mu2, ...; the model is not linear
-    in them.
-    """
+    """Return the names of load-dependent friction, mu1, mu2, ..., in which IDM is not linear."""
     return tuple(filter(is_load, base.names))
 
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:
-    """Find the base parameters of a robot from its regressor at seeded random
-    states, by QR (Gautier1991).
-    """
+    """Find the base parameters of a robot from its regressor at random states (Gautier1991)."""
     rng = np.random.default_rng(SEED)
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
     shapes = [c for c, term in dynamics.terms.items() if term.kind in SHAPES]
-    # Links from the base outwards, then rotors and friction: these are regrouped
-    # into a link's parameter.
+    # Links come first, from the base outwards, so that rotors and friction are regrouped into a
+    # link's parameter and not the other way round.
     order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))
     present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in shapes]
     independent, regrouping = _regroup(W[:, present] / norms[present], norms, np.array(present))
-    # friction shapes are regrouped with nothing
+    # Further friction terms are not regrouped, because a fit may leave them out.
     independent = np.r_[independent, np.array(shapes, dtype=np.intp)]
     K = np.r_[regrouping, np.zeros((len(shapes), dynamics.p))]
     K[np.arange(len(independent)), independent] = 1.0
@@ -151,10 +147,13 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
 
 
 def _regroup(scaled: Array, norms: Array, columns: Ints) -> tuple[Ints, Array]:
-    """Return the independent ones (b,) of the `columns` of a regressor, and what is regrouped into
-    each (b, p).
+    """Return the independent columns (b,), and the parameters regrouped into each, (b, p).
 
-    `norms` (p,) are those of all columns, `scaled` the columns divided by theirs.
+    Parameters
+    ----------
+    scaled : (r, k) columns of a regressor, scaled to norm one.
+    norms : (p,) norms of all columns.
+    columns : (k,) which columns these are.
     """
     diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
     keep = diagonal > TOLERANCE * diagonal.max()
@@ -171,7 +170,7 @@ def _regroup(scaled: Array, norms: Array, columns: Ints) -> tuple[Ints, Array]:
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
     """Return an expression such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`.
 
-    The parameter itself comes first, equal coefficients in one bracket.
+    The parameter itself comes first; equal coefficients are in one bracket.
     """
     groups: dict[float, list[str]] = {}
     for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:
@@ -187,8 +186,9 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 
 def known_parameters(dynamics: InverseModel) -> Array:
-    """Return standard parameters chi (p,) of the description's `[parameters]`, zero if not
-    given.
+    """Return standard parameters chi (p,) of `[parameters]` in the description.
+
+    Parameters that are not given are zero.
     """
     values, names = dynamics.robot.parameters, dynamics.names
     place = Location(f"robot {dynamics.robot.name}")
@@ -210,18 +210,23 @@ def known_parameters(dynamics: InverseModel) -> Array:
 
 
 def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
-    """Return base parameters (b,) of the description's `[parameters]`: K chi."""
+    """Return base parameters K chi (b,) of `[parameters]` in the description."""
     return np.asarray(base.K @ known_parameters(dynamics))
 
 
 def expected_links(
     idm: InverseModel, prior: InverseModel | None = None
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the a priori links of `prior`, another description of the robot, or of the model's
-    own.
+    """Return the a priori parameters of the links.
 
-    A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from
-    its joint to the next. The link frames of `prior` may differ, as those of a URDF from DH rows.
+    They are those of `[parameters]`, else of the `URDF`, else `plausible`: of a rod from the joint
+    to the next.
+
+    Parameters
+    ----------
+    idm : the robot.
+    prior : another description of the robot, whose links are used; its link frames may differ, as
+        those of a URDF differ from DH rows. None for its own.
 
     Returns
     -------
@@ -265,10 +270,9 @@ def base_prior(
 
 
 def payload_parameters(model: InverseModel, payload: Payload) -> Array:
-    """Return the payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) about the origin of the last link's
-    frame.
+    """Return the payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) in the last link's frame.
 
-    The payload is a ball; without a centre of mass it is at the origin of the payload's frame.
+    The payload is a ball. Without a centre of mass it is at the origin of the payload's frame.
 
     Raises
     ------
@@ -303,18 +307,16 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
 
 
 def add_payload(model: InverseModel, parameters: Array, payload: Payload) -> Array:
-    """Return standard parameters (p,) of the robot with the payload, from those of the robot
-    without it.
-    """
+    """Return standard parameters (p,) of the robot with the payload, from those without it."""
     out = np.array(parameters, dtype=float)
     out[link_columns(model)[-1]] += payload_parameters(model, payload)
     return out
 
 
 def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
-    """Test whether a rigid body with positive mass density can have these ten parameters.
+    """Test whether a rigid body with positive mass density can have these parameters (10,).
 
-    The eigenvalues of its scaled pseudo-inertia are greater than `least`.
+    The eigenvalues of its scaled pseudo-inertia must be greater than `least`.
     """
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
@@ -327,9 +329,7 @@ def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
 def _expected_link(
     idm: InverseModel, j: int, described: Array, of_urdf: Array
 ) -> tuple[Array, str]:
-    """Return the ten parameters of link j and their source: described, from the URDF, or of a rod
-    to the next joint.
-    """
+    """Return the a priori parameters (10,) of link j and their source."""
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source
@@ -338,7 +338,7 @@ def _expected_link(
     length = float(np.linalg.norm(along))
     radius = float(np.clip(SLENDERNESS * length, *RADIUS_M))
     mass = DENSITY * np.pi * radius**2 * (length + 2 * radius)
-    # second moments over the mass, about the middle
+    # Second moments of a cylinder over its mass, about the middle.
     spread = np.outer(along, along) / 12 + radius**2 / 4 * np.eye(3)
     about_middle = mass * (np.trace(spread) * np.eye(3) - spread)
     rod = pin.Inertia(mass, along / 2, about_middle)
@@ -346,8 +346,9 @@ def _expected_link(
 
 
 def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
-    """Return T (n, 4, 4) from the prior's link frames to the model's, which must not depend on the
-    position.
+    """Return T (n, 4, 4) from the prior's link frames to the model's.
+
+    T must not depend on the position.
     """
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:

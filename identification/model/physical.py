@@ -1,12 +1,17 @@
-"""Conditions for physical standard parameters: links are bodies, rotor inertias are positive,
-friction dissipates energy.
+"""Conditions of physical consistency: rigid bodies, positive rotor inertias, dissipation.
 
-Rotor inertias: those of each motor and of each joint alone are positive: Ia5 - Ia6 if motor 6 also
-turns joint 5. Viscous friction: its matrix is positive over the joints that share motors. Coulomb
-friction: its power sum_k Fc_k |d_k dq| is linear between the planes d_k dq = 0, so it is positive
-at all speeds if it is at the corners where the planes meet: Fc5 + Fcm6, Fc6 + Fcm6 and Fc5 + Fc6 of
-a wrist whose motor 6 also turns joint 5, and Fc of a joint with its own motor. Both conditions are
-exact. With further friction terms, the power at recorded speeds must be positive instead.
+Rotor inertia of each motor, and of each joint alone, is positive: Ia5 - Ia6 if motor 6 also turns
+joint 5.
+
+Viscous friction has a positive matrix over the joints that share motors.
+
+Coulomb friction has the power sum_k Fc_k |d_k dq|, which is linear between the planes d_k dq = 0.
+So it is positive at all speeds if it is at the corners where the planes meet: Fc5 + Fcm6, Fc6 +
+Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 also turns joint 5, and Fc of a joint with its own
+motor.
+
+These conditions are exact. With further friction terms, the power at recorded speeds must be
+positive instead.
 """
 
 import numpy as np
@@ -22,18 +27,23 @@ from .inverse import LINK, InverseModel, link_columns
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 from .parameters import BaseParameters, expected_links
 
-ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
-DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate
+ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: share of the link's ZZ; N m or N m s
+DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate energy
 RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators have
-MIN_SPEED = 0.04  # of a joint's peak speed, for the power of its friction to be checked
+MIN_SPEED = 0.04  # of a joint's peak speed; the power of friction is not checked below
 
 
 def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> Array:
-    """Return the power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum
-    |dq|.
+    """Return the power (k, b) dissipated per unit of b parameters, divided by sum |dq|.
 
-    It is zero for constant offsets. `dq` (k, n) are the speeds, no row all zero, `load` (k, n) the
-    sizes of the links' torques.
+    It is zero for constant offsets.
+
+    Parameters
+    ----------
+    idm : the robot.
+    columns : (b,) columns of the parameters.
+    dq : (k, n) speeds, no row all zero.
+    load : (k, n) absolute torques of the links, N m or N.
     """
     still, G = np.zeros_like(dq), np.zeros((len(dq), len(columns)))
     for i, column in enumerate(columns):
@@ -45,10 +55,17 @@ def friction_power(idm: InverseModel, columns: Ints, dq: Array, load: Array) -> 
 
 
 def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Array) -> Array:
-    """Return friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,),
-    if only joint j moves.
+    """Return friction (k, b) of joint j per unit of b parameters, if only joint j moves.
 
-    `v` (k,) are its speeds, not zero, `load` (k,) the sizes of the links' torque at it.
+    Offsets are not included.
+
+    Parameters
+    ----------
+    idm : the robot.
+    columns : (b,) columns of the parameters.
+    j : the joint.
+    v : (k,) its speeds, not zero.
+    load : (k,) absolute torques of the links at it, N m or N.
     """
     alone = np.eye(idm.robot.n)[j]
     return np.asarray(
@@ -60,8 +77,8 @@ def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Arr
 def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
     """Return speeds and loads (m, n) at which the power of further friction terms is checked.
 
-    They are made from those of some rows (k, n). Joints that share motors move together as
-    recorded, and each joint alone.
+    They follow from those of some rows (k, n): joints that share motors move together as recorded,
+    and each joint alone.
     """
     moving = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0)
     found = [(dq[:0], load[:0])]
@@ -76,11 +93,13 @@ def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Arr
 def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointTerm, str]]:
     """Return conditions for rotor inertias, viscous and Coulomb friction.
 
-    These are matrices (s, s, p), mostly a single entry, whose product with chi must be positive
-    definite; the first parameter of each, with the kind and the unit of all; and a text such as
-    `Fc5 + Fcm6`. For joints with further friction terms: if `shaped`, friction must be positive
-    without these terms, also of a joint's or motor's own; else there is no condition here, and the
-    power is checked.
+    Each condition is a matrix (s, s, p), mostly of a single entry, whose product with chi must be
+    positive definite; its first parameter, which has the kind and the unit of all; and a text such
+    as `Fc5 + Fcm6`.
+
+    For joints with further friction terms there are two cases. If `shaped`, viscous and Coulomb
+    friction must be positive without these terms, also of each joint or motor alone. Else there is
+    no condition here, and the power is checked.
     """
     groups, (terms, A) = _groups(idm), own_shares(idm)
     alone = {
@@ -112,12 +131,18 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
 def physical_parameters(
     idm: InverseModel, prior: InverseModel | None = None, power: Array | None = None
 ) -> PhysicalParameters:
-    """Return conditions for the standard parameters of a physically consistent model.
+    """Return the conditions of a physically consistent model on its standard parameters.
 
-    Links have the prior of `expected_links`; rotors and friction the conditions of `requirements`.
-    Further friction terms need a positive `power` (m, p), per unit of each parameter at
-    `shaped_states`; if no speeds are known, viscous and Coulomb friction must be positive without
-    the further terms.
+    Links have the prior of `expected_links`; rotors and friction have the conditions of
+    `requirements`.
+
+    Parameters
+    ----------
+    idm : the robot.
+    prior : another description of it with a priori values; None for its own.
+    power : (m, p) friction power per unit of each parameter at `shaped_states`, which must be
+        positive. None if no speeds are known: then viscous and Coulomb friction must be positive
+        without further terms.
     """
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
@@ -172,8 +197,9 @@ def _groups(idm: InverseModel) -> dict[tuple[int, ...], bool]:
 
 
 def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
-    """Return rotors, viscous and Coulomb friction by column, and the combination (m, p) of each
-    joint or motor alone.
+    """Return rotors, viscous and Coulomb friction by column, and the shares (m, p) of each alone.
+
+    A share is the combination of parameters that belongs to one joint or motor alone.
     """
     terms = _terms(idm, RESISTING)
     columns = list(terms)
@@ -205,13 +231,16 @@ def nearest_consistent(
     covariance: Array,
     power: Array | None = None,
 ) -> Consistent:
-    """Find the physically consistent parameters nearest to base parameters beta (b,) of this
-    covariance (b, b).
+    """Find the physically consistent parameters nearest to an estimate.
 
-    `power` as in `physical_parameters`.
+    Parameters
+    ----------
+    model, base : the robot and its base parameters.
+    beta, covariance : (b,) and (b, b), the estimate.
+    power : as in `physical_parameters`.
 
     Raises
     ------
-    BadInputError : none are found.
+    NoFitError : they are not found.
     """
     return consistent_parameters(beta, covariance, base.K, physical_parameters(model, power=power))
