@@ -1,9 +1,7 @@
-"""Control: the control law that moves the robot, described, found in a recording, or the default
-PD.
+"""Control: the control law that moves the robot, given, estimated from a recording, or a default.
 
-It owns `ControlLaw`, the state that a simulation needs of it, the search for the control law of a
-recording, and what a given control law says of the delay. It may use `regression` and the rooms
-below.
+It owns `ControlLaw`, its state in a simulation, the estimate of the control law of a recording, and
+the delay that a given control law shows. It may use `regression` and the subpackages below.
 """
 
 from .control_law import (

@@ -1,37 +1,31 @@
-"""The control law: the described controller, the one found in the recording, or the default PD.
+"""The control law: given in robot.toml, estimated from the recording, or a default PD controller.
 
-Control acts on motor positions q_m = R q once per period of the loop, and is held in between
+It acts on motor positions q_m = R q once per period of the loop, and holds its output in between
 (sample and hold):
 
     u = Kp (R (q_r - q)) + Kd (R (phi dq_r - dq)) + Ki integral(alpha R (q_r - q) - R dq (1 - phi)),
-    tau = Rᵀ G u
+    tau = R' G u
 
-| structure | Kp | Kd | phi | Ki, integral of |
-|---|---|---|---|---|
-| `pd` | p | v | 0 | - |
-| `pd_velocity_feedforward` | p | v | 1 | - |
-| `cascade_p_p` | p v | v | 0 | - |
-| `cascade_p_pi` | p v | v | 0 | v i, velocity error, alpha = p |
-| `pid` | p | v | 1 | i, position error, alpha = 1 |
-| `computed_torque` | p | v | 1 | - |
+| structure | Kp | Kd | phi | Ki, integral of | |---|---|---|---|---| | `pd` | p | v | 0 | - | |
+`pd_velocity_feedforward` | p | v | 1 | - | | `cascade_p_p` | p v | v | 0 | - | | `cascade_p_pi` | p
+v | v | 0 | v i, velocity error, alpha = p | | `pid` | p | v | 1 | i, position error, alpha = 1 | |
+`computed_torque` | p | v | 1 | - |
 
-p, v, i are the keys `position_gain`, `velocity_gain`, `integral_gain`. u of computed torque is a
-motor acceleration, p in 1/s², v in 1/s. With `gravity_feedforward` the model's gravity at the
-measured q is added to u, as motor efforts.
+p, v, i are the keys `position_gain`, `velocity_gain`, `integral_gain`. With computed torque u is a
+motor acceleration, p in 1/s², v in 1/s, and tau = IDM(q, dq, ddq_r + R⁻¹ u). With
+`gravity_feedforward` the model's gravity at the measured q is added to u, as motor efforts.
 
-The period is the controller's. In the instruments of a fit, a described or found law that runs at
-200 times the bandwidth or faster has periods of several instants of the controller, at least 100
-times the bandwidth, as long as its fastest speed loop allows (`ControlLaw.slower`).
+The period is that of the controller. If the instruments of a fit have a control law that runs at
+200 times the bandwidth or faster, a simulated period has several instants of the controller. It is
+as long as the fastest speed loop allows, but at most a hundredth of a period of the bandwidth
+(`ControlLaw.slower`).
 
-With a surrogate controller or reference, the model's gravity along the reference minus the known
-torque is added: a real loop compensates gravity by an integral or a model, and a measured position
-already contains the remaining sag.
+With a default controller, or without a recorded reference, the model's gravity along the reference
+minus the external torque is added: a real loop compensates gravity by an integral or a model, and a
+measured position already contains the remaining sag.
 
-Recorded feed-forward is added to u. Known torques act on the joints in addition
-to those of the drives.
-
-Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor
-efforts in every structure.
+Recorded feed-forward is added to u. External torques act on the joints in addition to those of the
+drives. The saturation limits motor efforts in every structure.
 """
 
 import operator
@@ -48,25 +42,25 @@ from ..errors import BadInputError
 from ..model import DirectModel
 
 ControllerKind = Literal["described", "found", "surrogate"]
-# structures: with an integral, and whose position gain acts on a speed loop
+# Structures with an integral, and structures whose position gain acts on a speed loop.
 INTEGRATING, CASCADES = ("cascade_p_pi", "pid"), ("cascade_p_p", "cascade_p_pi")
-# Of estimates of the speed, in controller's periods.
+# Delay of each estimate of the speed, in controller periods.
 SPEED_DELAYS = {"exact": 0.0, "backward_difference": 0.5, "two_sample_mean": 1.0}
 SURROGATE_DAMPING = 0.8
-MAX_DECAY = 0.6  # of a speed in a step, by the fastest speed loop; from 1 on it would overshoot
+MAX_DECAY = 0.6  # of a speed in a step, by the fastest speed loop; 1 or more would overshoot
 
 
 class Numbers(NamedTuple):
-    """What a step needs beside sums and products, of vectors (n,) and matrices (n, n).
+    """Operations that a step needs beside sums and products, of vectors (n,) and matrices (n, n).
 
-    A lone joint has Python's floats instead, which take a fifth of the time.
+    A single joint uses Python's floats instead, which take a fifth of the time.
     """
 
     own: Callable[[Array], Any]  # an array as such a number
     each: Callable[[Array], Any]  # the same of rows (N, n), to be taken one by one
     dot: Callable[[Any, Any], Any]
-    reverses: Callable[[Any, Any], bool]  # whether any of A x is below zero
-    within: Callable[[Any, Any], Any]  # a vector, limited to both sides
+    reverses: Callable[[Any, Any], bool]  # True if any of A x is negative
+    within: Callable[[Any, Any], Any]  # a vector, limited on both sides
 
 
 ARRAYS = Numbers(
@@ -88,11 +82,15 @@ FLOATS = Numbers(
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The inputs of a loop at its instants: the reference q, dq, ddq (N, n) and any further inputs.
+    """The inputs of a loop at its instants.
 
-    `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N,
-    n) is added to the controller's output, in its units; `seen` are the positions that the
-    controller acts on, of the true ones (n,) at an instant, by an encoder that is not perfect.
+    Attributes:
+        q, dq, ddq: (N, n) reference, rad or m, per s, per s².
+        known_torque: (N, n) external torque on the joints, each held to the next instant, N m or N;
+            None for none.
+        feedforward: (N, n) added to the controller's output, in its units; None for none.
+        seen: function that returns the position that an imperfect encoder shows, of the true one
+            (n,) at an instant; None for a perfect encoder.
     """
 
     q: Array
@@ -106,18 +104,22 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlLaw:
-    """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or
-    m).
+    """A position loop in discrete time, with gains (n,) in recorded effort per motor rad (or m).
 
     Attributes:
-        kind: given in robot.toml, estimated from a recording, or a default PD of the given
-            bandwidth.
-        structure: as in `[controller]`.
-        R, G: of the robot, q_m = R q and tau = Rᵀ G u.
-        Kp, Kd, Ki: gains of the control law above.
-        position_share: alpha, how the position error enters the integral.
-        gravity: the model's, added along the reference, at the measured position, or not at all.
-        periods: of the controller in `period_s`.
+        kind: `described` in robot.toml, `found` in a recording, or `surrogate`, a default PD
+            controller.
+        structure: structure as in `[controller]`.
+        period_s: period of a step, s.
+        R: (n, n) motor matrix, q_m = R q.
+        G: (n,) drive gains, tau = R' G u.
+        Kp, Kd, Ki: (n,) gains of the control law.
+        position_share: (n,) alpha, the factor of the position error in the integral.
+        saturation: (n,) limits of the motor efforts.
+        velocity_estimate: the controller's estimate of the speed.
+        gravity: where the model's gravity is added: along the reference, at the measured position,
+            or not at all.
+        periods: number of controller periods in `period_s`.
     """
 
     kind: ControllerKind
@@ -164,17 +166,17 @@ class ControlLaw:
 
     @property
     def middle(self) -> float:
-        """Middle of the controller's instants in a step, in steps from its begin."""
+        """Middle of the controller's instants in a step, in steps from its beginning."""
         return 0.5 * (self.periods - 1) / self.periods
 
     def slower(self, M: Array, rate_hz: float) -> "ControlLaw":
-        """Return the loop of a robot of inertias M (P, n, n) with every m-th of its instants, at
-        least `rate_hz`.
+        """Return the loop with every m-th of its instants, at a rate of at least `rate_hz`.
 
         Steps of a simulation cost the same at any rate. u of the m instants in a step is that of
-        their middle, to first order, with the speed as late as the controller estimates it. That
-        holds while the fastest speed loop, of the largest eigenvalue of M⁻¹ Rᵀ G Kd R, needs more
-        than a step: `MAX_DECAY`. Computed torque keeps its instants.
+        their middle, to first order, with the delay of the controller's speed estimate. That holds
+        while a step is short compared with the fastest speed loop, the largest eigenvalue of M⁻¹ R'
+        G Kd R (`MAX_DECAY`); M (P, n, n) are inertia matrices of the robot. Computed torque keeps
+        its instants.
         """
         if self.computed_torque:
             return self
@@ -184,11 +186,10 @@ class ControlLaw:
         return replace(self, period_s=m * self.period_s, periods=m)
 
     def scaled(self, factor: Array) -> "ControlLaw":
-        """Apply the gain update: return the loop for other inertias, with gains and saturation
-        times `factor` (n,).
+        """Apply the gain update (E): return the loop with gains and saturation times `factor` (n,).
 
-        Gains of computed torque act on accelerations and stay: the model in the loop has the new
-        inertias.
+        Gains of computed torque act on accelerations and stay, because the model in the loop has
+        the new inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
         return replace(
@@ -200,8 +201,7 @@ class ControlLaw:
         )
 
     def inertias(self, bandwidth_hz: float) -> Array:
-        """Return inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G
-        Kp R.
+        """Return inertias J (n,) for which Kp gives the bandwidth w: diag(R' G Kp R) = w² J.
 
         They are ones for computed torque, whose gains do not depend on inertias.
         """
@@ -213,9 +213,7 @@ class ControlLaw:
 
 
 def described_gains(controller: Controller) -> Array | None:
-    """Return Kp, Kd, Ki (3, n) of the given control law u = Kp e + ...; None if it is
-    incomplete.
-    """
+    """Return Kp, Kd, Ki (3, n) of the given control law; None if it is incomplete."""
     given = [
         controller.position_gain,
         controller.velocity_gain,
@@ -229,11 +227,11 @@ def described_gains(controller: Controller) -> Array | None:
 
 
 def described_law(robot: Robot) -> ControlLaw | None:
-    """Return the loop of the description's `[controller]`, None if it gives none.
+    """Return the control law of `[controller]` in the description; None if it gives none.
 
     Raises
     ------
-    BadInputError : keys are missing; it names them.
+    BadInputError : keys are missing; the text names them.
     """
     c, needed = robot.controller, ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
     gains = described_gains(c)
@@ -265,10 +263,11 @@ def described_law(robot: Robot) -> ControlLaw | None:
 
 
 def default_law(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
-    """Return a PD at the joints with velocity feedforward and gravity: w_n = 2 pi bandwidth, zeta
-    0.8.
+    """Return a default PD controller at the joints, with velocity feed-forward and gravity.
 
-    `J` (n,) are the inertias.
+        Kp = J w²,     Kd = 2 zeta w J,     w = 2 pi bandwidth,     zeta = 0.8
+
+    `J` (n,) are the inertias of the joints, kg m² or kg.
     """
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return ControlLaw(
@@ -293,7 +292,7 @@ class Control:
     def __init__(
         self, model: DirectModel, loop: ControlLaw, q: Array, v: Array, numbers: Numbers = ARRAYS
     ) -> None:
-        """Begin at the position and speed `q`, `v` (n,); later ones are of kind `numbers`."""
+        """Begin at the position `q` and speed `v`, (n,); later ones are of the kind `numbers`."""
         self._model, self._loop, self._T, self._start = model, loop, loop.period_s, q[None]
         self._numbers, own, to_joints = numbers, numbers.own, loop.R.T * loop.G
         self._to_motors, self._R_inverse = np.linalg.inv(to_joints), np.linalg.inv(loop.R)
@@ -304,13 +303,14 @@ class Control:
         )
         self._computed, by_speed = loop.computed_torque, loop.feedforward == 0.0
         self._of_speed, self._at_q = by_speed, loop.gravity == "measured"
-        # of u, and of what its integral gains in a period, the factors of position and speed; that
-        # of a cascade is of the speed error
+        # Factors of position and speed in u, and in the increase of its integral in a period. A
+        # cascade integrates the speed error.
         summed = self._T * loop.Ki
         gains = loop.Kp, loop.Kd, summed * loop.position_share, summed * by_speed
         self._P, self._D, self._I, self._J = (own(gain[:, None] * loop.R) for gain in gains)
         self._integral: Any = None
-        delay = SPEED_DELAYS[loop.velocity_estimate]  # that of positions so many periods ago, twice
+        # The speed is estimated from the position twice as many periods ago.
+        delay = SPEED_DELAYS[loop.velocity_estimate]
         self._before = [own(q - (k + 1) * self._T * v) for k in range(round(2 * delay))]
         self._v1, self._lead = own(v), loop.middle - delay / loop.periods
         self._ahead_s, self._summed = loop.middle * self._T, 1.0 - loop.middle
@@ -326,8 +326,8 @@ class Control:
         self._u = each(u if self._computed else u + held + fed)
         self._x, self._fed = each(x), fed
         if self._integral is None:
-            # It balances gravity at rest: speeds and accelerations of a single instant would add
-            # their noise.
+            # The integral begins with the effort that balances gravity at rest: speed and
+            # acceleration of a single instant would add their noise.
             known = self._model.gravity(self._start) @ self._to_motors.T if self._at_q else held[0]
             need = np.clip(
                 self._held(self._start) - known - fed[0], -loop.saturation, loop.saturation
@@ -335,9 +335,7 @@ class Control:
             self._integral = self._numbers.own(np.where(loop.Ki > 0, need[0], 0.0))
 
     def torque(self, k: int, q: Any, v: Any) -> Any:
-        """Return the controller's joint torques (n,) at its instant k, at which the encoder reads
-        the positions q.
-        """
+        """Return the controller's joint torques (n,) at its instant k, at the positions q (n,)."""
         loop, dot, dq, x = self._loop, self._numbers.dot, v, 0.0
         if self._reference.seen is not None:
             q = self._numbers.own(self._reference.seen(q, k))
@@ -368,8 +366,9 @@ class Control:
         return dot(self._to_joints, u)
 
     def _held(self, q: Array) -> Array:
-        """Return motor efforts (N, n) that hold the robot at positions q (N, n) at the first N
-        instants, beside the external torque.
+        """Return motor efforts (N, n) that hold the robot at the positions q (N, n).
+
+        They balance gravity and the external torque of the first N instants.
         """
         known, gravity = self._reference.known_torque, self._model.gravity(q)
         return (gravity if known is None else gravity - known[: len(q)]) @ self._to_motors.T

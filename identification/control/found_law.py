@@ -1,18 +1,19 @@
-"""The control law of the drives from what was recorded: the effort u of each motor, its
-reference r and its position q.
+"""The control law of the drives, estimated from the recording.
+
+Of each motor the effort u, the reference r and the position q are recorded:
 
     u(t + L) = Kp (r(t - d) - q(t)) + Kd (phi dr(t - d) - v(t)) + Ki integral(...) + offset
 
-The law is linear and acts on the measured position, whose noise is thus no error in the
-variables: least squares is right, whatever the robot. r, q and u pass one low-pass, which
-commutes with derivatives, integrals and delays; the delay d of the reference and the delay L of the
-effort are found by Gauss-Newton steps beside the gains. The speed v is dq, or dq half a period or
-a period ago, by the controller's estimate. The data determine only d + L: the estimate with the
-smallest d and L is taken. A controller's integral is a sum of rectangles: that of the path and
-half a period of its integrand.
+The control law is linear and acts on the measured position, so the noise of that position is not an
+error in the variables, and least squares is unbiased for any robot. r, q and u pass one low-pass,
+which commutes with derivatives, integrals and delays. The delay d of the reference and the delay L
+of the effort are found by Gauss–Newton steps along with the gains. The speed v is dq, or dq half a
+period or a period ago, by the controller's estimate. The data determine only d + L, so the estimate
+with the smallest d and L is chosen. A controller's integral is a sum of rectangles: the integral of
+the path plus half a period of its integrand.
 
-A given control law that gives the effort at its own instants tells the delay of the recorded torque
-too.
+A given control law that reproduces the effort at its own instants shows the delay of the recorded
+torque too.
 """
 
 import math
@@ -39,40 +40,41 @@ from .motor_paths import (
     scaled_solution,
 )
 
-# Columns of u: the error e, its rate f = w - v, speeds v measured and w of the reference, the
-# error's integral i, position q.
+# Columns of u by structure: e the error, v the measured speed, w the speed of the reference,
+# f = w - v, i the integral of the error, q the position.
 STRUCTURES = {"pd": "ev", "pd_velocity_feedforward": "ef", "pid": "efi", "cascade_p_pi": "eviq"}
-LAWS = STRUCTURES | {  # rivals of no structure
+# Rivals that no structure of a description has.
+LAWS = STRUCTURES | {
     "speed fed forward in part": "evw",
     "an integral without it": "evi",
     "both": "evwi",
 }
-LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
-MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
+LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; smaller residuals count as equal
+MIN_RATIO = 1.5  # of two residuals; with less, neither structure is better
 MIN_ROWS = 60
-# samples: no instant of a record is known better; those of the real EMPS are off by 0.006
+# Samples; the instants of a recording are not known better, those of the real EMPS are off by
+# 0.006.
 LEAST_LAG_SD = 4e-3
-MAX_LAW_PERCENT = 5.0  # of the effort's variation that a law does not give, where it tells the lag
-DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
+MAX_LAW_PERCENT = 5.0  # residual up to which a control law shows the delay, of the variation
+DRIVE_DELAY_S = 0.0005  # standard deviation of the delay from command to torque
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoundLaw:
-    """The control law of each motor as a recording shows it, by one structure.
+    """The control law of each motor, estimated from a recording, with one structure.
 
     Attributes:
-        law: the control law of its gains, whatever they are; of the given structure if there is
-            one, and
-            `pd` also for `cascade_p_p`.
-        reason: why it is not to be used; None if it is.
-        rival: the structure that fits better than the given one; None for none.
+        law: control law with the estimated gains, whatever they are. It has the given structure if
+            there is one, and `pd` for `cascade_p_p`.
+        reason: why it is not used; None if it is.
+        rival: structure that fits better than the given one; None for none.
         gains_half: (3, n) half-widths of the 95 % intervals of Kp, Kd, Ki.
-        delay_s, delay_half_s: (n,) delay of the reference.
-        lag_s, lag_sd_s: (n,) delay of the effort after the control law's instant.
-        residual_percent: (n,) of the effort's variation.
-        clear: (n,) motors that determine the structure by themselves.
-        described: (3, n) the given gains; None without. `lag_s` and `lag_sd_s` are then those with
-            these gains.
+        delay_s, delay_half_s: (n,) delay d of the reference and its half-width, s.
+        lag_s, lag_sd_s: (n,) delay L of the effort after the control law's instant and its standard
+            error, s; with the given gains if there are any.
+        residual_percent: (n,) residual in percent of the effort's variation.
+        clear: (n,) mask of the motors that determine the structure by themselves.
+        described: (3, n) given gains; None without.
     """
 
     law: ControlLaw
@@ -99,8 +101,9 @@ class FoundLaw:
 
     @property
     def common_delay_s(self) -> float:
-        """Delay of the reference, the median of the motors, s; 0 if it may be 0, or if the control
-        law does not fit.
+        """Delay of the reference, the median of the motors, s.
+
+        It is 0 if it may be 0, or if the control law does not fit.
         """
         delay_s, half_s = float(np.median(self.delay_s)), float(np.median(self.delay_half_s))
         fits = (self.residual_percent <= MAX_RESIDUAL_PERCENT).all()
@@ -108,10 +111,9 @@ class FoundLaw:
 
 
 def law_of_recording(robot: Robot, signals: Signals, found: FoundLaw | None) -> ControlLaw | None:
-    """Return the control law given in the description or, without one, the estimated one; None for
-    neither.
+    """Return the control law given in the description, else the estimated one, else None.
 
-    Along a measured position it has the model's gravity, as the position has the sag.
+    Along a measured position it has the model's gravity, as this position contains the sag.
 
     Raises
     ------
@@ -119,27 +121,29 @@ def law_of_recording(robot: Robot, signals: Signals, found: FoundLaw | None) -> 
     """
     law = described_law(robot)
     if law is None and found is not None and found.reason is None:
-        law = replace(found.law, G=robot.gain)  # those that a fit identified
+        law = replace(found.law, G=robot.gain)  # drive gains that a fit identified
     if law is None or signals.q_ref is not None or law.gravity == "measured":
         return law
     return replace(law, gravity="reference")
 
 
 def law_of(problem: Problem) -> FoundLaw | None:
-    """Estimate the control law from the recording, by the given structure if there is one.
+    """Estimate the control law from the recording, with the given structure if there is one.
 
-    It is None without a reference, or if the given control law is not linear. A control law is
-    accepted if every motor's residual is small and its gains are positive, and if the structure is
-    clearly better at some motor than all that it is no part of, while none that contains it is.
+    None is returned without a reference, or if the given control law is not linear. A control law
+    is accepted if every motor has a small residual and positive gains. At some motor, its structure
+    must be clearly better than all structures that do not contain it, and no structure that
+    contains it may be better.
     """
     signals, controller = problem.signals, problem.signals.robot.controller
     if signals.q_ref is None or controller.structure == "computed_torque":
         return None
     period_s = 1 / (controller.sample_rate_hz or signals.sample_rate_hz)
-    # Of a controller that is not described the period is anything up to that of the samples.
+    # The period of a controller that is not given may be anything up to the sample period.
     unknown_s = 0.0 if controller.sample_rate_hz else 0.25 * period_s
     lag = problem.settings.lag
-    with suppress(NoFitError):  # too few samples to filter
+    # There may be too few samples to filter.
+    with suppress(NoFitError):
         motors = motor_paths(
             problem,
             replace(lag, value_s=lag.value_s + 0.5 * period_s),
@@ -151,8 +155,9 @@ def law_of(problem: Problem) -> FoundLaw | None:
 
 
 def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], list[Found]]:
-    """Return a least-squares solver of all motors by columns and the controller's estimate of the
-    speed, each done once.
+    """Return a least-squares solver of all motors, by columns and estimate of the speed.
+
+    Each combination is solved once.
     """
 
     @cache
@@ -167,15 +172,14 @@ def _solver(motors: list[MotorPaths], period_s: float) -> Callable[[str, str], l
 def _select_law(
     robot: Robot, motors: list[MotorPaths], period_s: float, unknown_s: float
 ) -> FoundLaw:
-    """Select the control law by the given structure or, without one, the structure that fits
-    best.
-    """
+    """Select the control law of the given structure, else of the structure that fits best."""
     solved = _solver(motors, period_s)
     percent = {
         name: np.min(
             [
                 _percents(solved(letters, one))
-                # without the reference's speed a delay of the measured one is one of it and a lag
+                # Without the reference's speed, a delay of the measured one cannot be distinguished
+                # from the delays of reference and effort.
                 for one in (SPEED_DELAYS if {"f", "w"} & set(letters) else ("exact",))
             ],
             axis=0,
@@ -194,10 +198,10 @@ def _select_law(
     found = _with_values(robot, motors, solved, name, (period_s, unknown_s))
     unlike = robot.motors[int(valid[name].argmin())].name
     reasons = (
-        (not valid[name].all(), f"no linear law fits motor {unlike}"),
+        (not valid[name].all(), f"no linear control law fits motor {unlike}"),
         (best != name, f"{best} fits better"),
-        (not clear[name].any(), "several laws fit alike"),
-        # by the speed that is taken, and determined at all
+        (not clear[name].any(), "several control laws fit alike"),
+        # With the selected estimate of the speed, gains may be negative or undetermined.
         (
             not (found.gains[found.used] > 0).all(),
             f"gains of {name} are undetermined, or not positive",
@@ -220,14 +224,14 @@ def _with_values(
 ) -> FoundLaw:
     """Return the control law of a structure, with its estimate of the speed.
 
-    `period_s`: of the controller, and how much of it is unknown.
+    `period_s` is the period of the controller, and how much of it is unknown.
     """
     letters, described = STRUCTURES[name], described_gains(robot.controller)
     ways = {one: solved(letters, one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, motors[0], robot.controller.velocity_estimate)
     late_s = SPEED_DELAYS[estimate] * period_s[0]
     known = [None] * len(motors) if described is None else described.T
-    # a step further: the search ends once steps are small
+    # Solve once more, as the search ended when its steps were small, not zero.
     found = [
         motor.solve(letters, late_s, one) for motor, one in zip(motors, ways[estimate], strict=True)
     ]
@@ -270,7 +274,7 @@ def _with_values(
 def _estimate(tried: dict[str, list[Found]], motor: MotorPaths, described: str | None) -> str:
     """Select the controller's estimate of the speed: the given one unless another fits better.
 
-    Of those that fit alike the one with the smallest delays is taken.
+    If several fit alike, the one with the smallest delays is selected.
     """
     left = {one: _floored(_percents(found)) for one, found in tried.items()}
     limit = MIN_RATIO * np.min(list(left.values()), axis=0)
@@ -294,8 +298,9 @@ def _percents(found: list[Found]) -> Array:
 
 
 def _is_clear(name: str, percent: dict[str, Array]) -> Bools:
-    """Test by motor whether a structure is better than those that it is no part of, and no worse
-    than those that contain it.
+    """Test by motor whether a structure is clearly better than its rivals.
+
+    It must be better than those that do not contain it, and not worse than those that do.
     """
     own, found = _floored(percent[name]), list[Bools]()
     for other in LAWS.keys() - {name}:
@@ -310,11 +315,10 @@ def _floored(percent: Array) -> Array:
 
 
 def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s: float) -> Array:
-    """Return Kp, Kd, Ki of a motor, their half-widths, and both delays with their uncertainty, s,
-    (10,).
+    """Return Kp, Kd, Ki of a motor, their half-widths, and both delays with uncertainties, (10,).
 
-    Undetermined values are NaN. If gains are given (`stated`, (3,)), the delay of the effort is
-    that with these.
+    Delays are in s, and undetermined values NaN. If gains are given (`stated`, (3,)), the delay of
+    the effort is that with them.
     """
     letters, found = STRUCTURES[name], np.full(10, np.nan)
     _, rho, J = motor.solved(letters, late_s, *x[-2:])
@@ -327,9 +331,9 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
         whole = whole.with_columns(np.arange(len(names) - 1))
         held = ordinary_least_squares(whole)
         within = intervals_of(whole, held)
-        # An unknown lag widens all; an unknown period of the sum of rectangles widens Kp.
+        # An unknown delay widens all intervals, an unknown period of the sum that of Kp.
         half = within.reach * np.hypot(within.sigma, held.bread @ (held.Q.T @ J[:, -1]) * sd_L)
-        # with the integral of a speed's error its gain is that of q
+        # The gain of an integral of the speed error is that of the column q.
         at = np.array([max(map(letters.find, of)) for of in ("e", "fv", "iq")])
         gains, widths = (np.where(at < 0, 0.0, of[at]) for of in (x, half))
         found = np.r_[gains, widths, x[-2], half[-1], x[-1], sd_L]
@@ -339,8 +343,9 @@ def _values(motor: MotorPaths, x: Array, stated: Array | None, name: str, late_s
 
 
 def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple[float, float]:
-    """Return the delay of the effort and its standard error, s, if the gains (3,) are those of the
-    control law, up to a common factor.
+    """Return the delay of the effort and its standard error, s, with given gains (3,).
+
+    The gains may differ from those of the controller by a common factor.
     """
     Kp, Kd, Ki = gains
     of = {"e": Kp, "f": Kd, "v": Kd, "i": Ki * Kp / Kd if "q" in letters else Ki, "q": Ki}
@@ -356,8 +361,7 @@ def _lag_of(letters: str, x: Array, rho: Array, J: Array, gains: Array) -> tuple
 
 
 def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
-    """Return the delay of the torque without an estimate, where the given control law gives the
-    effort.
+    """Return the delay of the torque by the given control law, if that reproduces the effort.
 
     Drives have loops that a description does not contain. A command acts from its tick to the next
     one, on average half a period later; the drive's own delay is not included.
@@ -371,12 +375,12 @@ def _lag_by_law(problem: Problem, found: FoundLaw | None) -> Lag | None:
         problem.settings.lag,
         value_s=float(found.lag_s[similar].mean()) - 0.5 * found.law.period_s,
         sd_s=float(np.hypot(found.lag_sd_s[similar].max(), DRIVE_DELAY_S)),
-        source="the described control law",
+        source="the control law in robot.toml",
     )
 
 
 def lag_without_fit(group: Sequence[tuple[Problem, FoundLaw | None]]) -> Lag:
-    """Return the delay of a group of recordings as known without an estimate.
+    """Return the delay of a group of recordings by prior knowledge.
 
     It is the mean of the delays by user, recording and control law, with the smallest standard
     error.

@@ -1,6 +1,4 @@
-"""The columns of a motor's control law along the recorded reference and position,
-and its least squares.
-"""
+"""The columns of a motor's control law along reference and position, and their least squares."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,26 +10,30 @@ from ..arrays import Array, Bools, Ints
 from ..regression import Lag, Problem, differentiate, lowpass, on_spline, spline_coefficients
 
 FIRST_STEPS, STEPS, MAX_STEP, MIN_STEP = 3, 12, 2.0, 1e-2  # Gauss-Newton steps; samples of one
-PRIOR_WEIGHT = 5.0  # deviations of the residual, more than one: it is not white
-# low-pass over the rate of rows; of the paths; rows cut at each end
+PRIOR_WEIGHT = 5.0  # standard deviations of the residual; more than 1, as it is not white
+# Low-pass over the rate of rows; samples of a path per row; rows cut at each end.
 PASSBAND, SAMPLES_PER_ROW, EDGE_ROWS = 0.3, 8, 10
-# of a motor's limit; share of the samples this near to a row
+# Share of a motor's limit; share of the samples that may reach it, within so many rows.
 SATURATED, MAX_SATURATED, SATURATED_ROWS = 0.995, 0.01, 3
 MAX_USED_S, MAX_ROWS, MAX_DELAY_S = 120.0, 600, 0.02
-HOPELESS_PERCENT = 20.0  # after the first steps
+HOPELESS_PERCENT = 20.0  # residual after the first steps, with which the search ends
 MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
-_REMEMBERED = 32  # lags and delays of a path
+_REMEMBERED = 32  # delays of a path whose values are kept
 
 # x, dx, ddx and the integral of x (4, rows), by their delay in s
 Path = Callable[[float], Array]
 
-# what is left of an effort, percent, and x: values of the columns and of those beside them, d, L
+# Residual of an effort, percent, and x: values of the columns, of those beside them, d and L.
 Found = tuple[float, Array]
 
 
 class MotorPaths:
-    """Reference and position of a motor as smooth paths, and the rows at which
-    its effort is compared.
+    """Reference and position of a motor as smooth paths, and rows at which efforts are compared.
+
+    Attributes:
+        u: (rows,) effort.
+        rate_hz: sample rate of the paths, Hz.
+        known: delay of the effort, by prior knowledge.
     """
 
     def __init__(
@@ -44,18 +46,23 @@ class MotorPaths:
     ) -> None:
         """Store the paths.
 
-        `paths`: r and q, each with two derivatives and the integral, (4, rows) by their delay;
-        `beside`: further columns, and the effort; `rate_hz`: of the paths; `period_s`: of the
-        controller's sum.
+        Parameters
+        ----------
+        paths : functions of a delay in s, for r and q, that return path, two derivatives and
+            integral (4, rows).
+        beside : (rows, k) further columns, and the effort as the last.
+        rate_hz : sample rate of the paths, Hz.
+        known : delay of the effort, by prior knowledge.
+        period_s : period of the controller's sum, s.
         """
         (self._r, self._q), self._half_s = paths, 0.5 * period_s
         self._beside, self.u = beside[:, :-1], beside[:, -1]
         self.rate_hz, self.known = rate_hz, known
 
     def solve(self, letters: str, late_s: float, near: Found | None) -> Found:
-        """Solve least squares by the columns `letters`, the speed being `late_s` behind.
+        """Solve least squares by the columns `letters`, with the speed delayed by `late_s`.
 
-        `near`: the solution of another delay of the speed.
+        `near` is the solution with another delay of the speed.
         """
         if near is not None and near[0] < MAX_RESIDUAL_PERCENT:
             return self._refined(letters, late_s, near[1][-2:])
@@ -68,8 +75,9 @@ class MotorPaths:
         return min(found, key=lambda one: one[0])
 
     def solved(self, letters: str, late_s: float, d: float, L: float) -> tuple[Array, Array, Array]:
-        """Return the values of least squares at d and L, the residual (rows,), and the columns of
-        these values, of d and of L.
+        """Return the least-squares values at the delays d and L, residual (rows,), and columns.
+
+        The columns are those of the values, of d and of L.
         """
         c, by_d, by_L = self._columns(letters, late_s, d, L)
         x = scaled_solution(c, self.u)
@@ -79,9 +87,7 @@ class MotorPaths:
     def _columns(
         self, letters: str, late_s: float, d: float, L: float
     ) -> tuple[Array, Array, Array]:
-        """Return columns (rows, k) at d and L with those beside them, and derivatives by d and by
-        L.
-        """
+        """Return columns (rows, k) at the delays d and L, and their derivatives by d and by L."""
         r, dr, ddr, ir = self._r(L + d)
         q, dq, _, iq = self._q(L)
         _, v, dv, _ = self._q(L + late_s)
@@ -98,8 +104,9 @@ class MotorPaths:
         return np.c_[c, self._beside], by_d, by_L
 
     def _first_delay(self, letters: str, late_s: float, by: str) -> float:
-        """Return the delay by columns of what it adds to the error, -d dr, or to its integral, -d
-        r, which grows without bound.
+        """Return a first delay d, from columns of what it adds to the error.
+
+        That is -d dr for the error, and -d r, which grows without bound, for its integral.
         """
         d, letter = 0.0, "w" if by == "e" and "w" in letters else by
         added = [letters.index(one) for one in "e" * (by == "i") + letter]
@@ -114,9 +121,9 @@ class MotorPaths:
         return d
 
     def _refined(self, letters: str, late_s: float, at: Array) -> Found:
-        """Take Gauss–Newton steps of the values, d and L from `at` on.
+        """Take Gauss–Newton steps of the values, d and L, from the delays `at` on.
 
-        L is known within limits; a control law far from the effort is left.
+        L is known within limits. The steps end early if the control law is far from the effort.
         """
         known, step = self.known, np.inf
         size = max(math.sqrt(len(self.u)) * self.u.std(), 1e-300)
@@ -142,8 +149,13 @@ def scaled_solution(A: Array, y: Array) -> Array:
 
 
 def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPaths]:
-    """Return the motors of a recording, with the delay as known, and the period of the controller's
-    sum.
+    """Return the paths of the motors of a recording.
+
+    Parameters
+    ----------
+    problem : the recording.
+    known : delay of the effort, by prior knowledge.
+    period_s : period of the controller's sum, s.
     """
     s, settings, R = problem.signals, problem.settings, problem.signals.robot.R
     fs, n_d = s.sample_rate_hz, settings.decimator.factor
@@ -175,9 +187,9 @@ def motor_paths(problem: Problem, known: Lag, period_s: float) -> list[MotorPath
 
 
 def _row_places(N: int, n_d: int, fs: float) -> Ints:
-    """Return the samples of the rows at which efforts are compared, of N.
+    """Return the samples, of N, of the rows at which efforts are compared.
 
-    They are samples of the paths too, away from the ends.
+    They are samples of the paths too, and away from the ends.
     """
     step, edge = max(1, n_d // SAMPLES_PER_ROW), EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
     apart = max(n_d, (N - 2 * edge) // MAX_ROWS)
@@ -185,8 +197,7 @@ def _row_places(N: int, n_d: int, fs: float) -> Ints:
 
 
 def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
-    """Return a mask (rows, n), at the samples `at` of those used, of rows that follow the control
-    law.
+    """Return a mask (rows, n), at the samples `at`, of rows that follow the control law.
 
     Few samples near them have an effort u (N, n) at its limit, or were not measured.
     """
@@ -197,8 +208,9 @@ def _follow_the_law(problem: Problem, u: Array, used: slice, at: Ints) -> Bools:
 
 
 def _gravity(problem: Problem, q: Array) -> Array:
-    """Return efforts (b, rows, n) of the motors, at their positions q, that gravity fed forward may
-    have; no columns if it is not.
+    """Return motor efforts (b, rows, n) of gravity per base parameter, at motor positions q.
+
+    There are no columns if gravity is not fed forward.
     """
     robot = problem.signals.robot
     if not robot.controller.gravity_feedforward:
@@ -209,8 +221,9 @@ def _gravity(problem: Problem, q: Array) -> Array:
 
 
 def _paths(x: Array, fs: float, step: int) -> list[Array]:
-    """Return by motor the spline coefficients of every `step`-th sample of a path (N, n), of its
-    two derivatives and its integral.
+    """Return spline coefficients of a path (N, n), its two derivatives and its integral, by motor.
+
+    They are those of every `step`-th sample.
     """
     dx, summed = differentiate(x, fs), (np.cumsum(x, axis=0) - 0.5 * x) / fs
     series = np.stack([x, dx, differentiate(dx, fs), summed], axis=-1)[::step]
@@ -218,7 +231,10 @@ def _paths(x: Array, fs: float, step: int) -> list[Array]:
 
 
 def _path(c: Array, places: Ints, rate_hz: float) -> Path:
-    """Evaluate the path of these coefficients, at places that are counted in its samples."""
+    """Return the path of these coefficients as a function of its delay, s.
+
+    `places` are counted in its samples.
+    """
 
     @lru_cache(_REMEMBERED)  # structures and steps share most of their lags and delays
     def path(late_s: float) -> Array:

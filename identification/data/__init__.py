@@ -1,8 +1,8 @@
-"""Recordings as signals on a uniform grid, and where tasks on them run: this process,
-processes, a Dask cluster.
+"""Recordings as signals on a uniform grid, and workers for tasks: this process, others, Dask.
 
-It owns `Signals`, the only form in which other rooms see a recording, and `Work`; it alone imports
-joblib and distributed. It may use `acquisition`, which reads the files, and no other room.
+It owns `Signals`, the only form in which other subpackages see a recording, and `Work`; it alone
+imports joblib and distributed. It may use `acquisition`, which reads the files, and no other
+subpackage.
 """
 
 from .recordings import ON_GRID, RecordingFile, Recordings, check_one_robot, load_signals

@@ -1,5 +1,6 @@
-"""Recordings → `Signals` (no other module here reads them); check that
-recordings are of one robot.
+"""Read recordings as `Signals`; check that recordings are of one robot.
+
+No other module of this package reads recordings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,8 +29,8 @@ from ..arrays import Array
 from .signals import OF_FILES, Signals
 from .work import Work
 
-ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
-MOST_MISSING = 10.0  # times the rows that are there: more are other recordings
+ON_GRID = 0.05  # of a period; samples farther from a uniform grid are interpolated
+MOST_MISSING = 10.0  # times the rows that exist; after a longer gap it is another recording
 JOINT_KEYS = (
     "name",
     "type",
@@ -132,10 +133,9 @@ def _read(path: Path) -> tuple[Recording, Block]:
 def _with_recorded_controller(
     robot: Robot, was: Robot, path: Path
 ) -> tuple[Robot, tuple[str, ...]]:
-    """Return another description with the control law of a dry run, which belongs to the recorded
-    drives.
+    """Return a description with the controller of a dry run, and a warning if it had its own.
 
-    It warns if the description has a control law too.
+    That controller belongs to the recorded drives.
     """
     law = was.files.get(SIMULATED_CONTROLLER)
     if law is None:
@@ -182,15 +182,14 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
 
 
 def _grid(since: Array, nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """Return a uniform grid (N,) for timestamps `since` the first, its rate in Hz, and the largest
-    offset of a timestamp in periods.
+    """Return a uniform grid (N,), its rate in Hz, and the largest offset from it in periods.
 
-    Times are in ns. Uniform timestamps are the grid. If samples are missing, the grid has the
-    nominal rate, if that agrees with theirs within 10 %.
+    Times are in ns, `since` the first timestamp. Uniform timestamps are the grid. If samples are
+    missing, the grid has the nominal rate if that agrees with the timestamps within 10 %.
 
     Raises
     ------
-    BadInputError : time does not increase, or a gap is far longer than the rows.
+    BadInputError : time does not increase, or a gap is far longer than all rows together.
     """
     if len(since) < 2:
         Location(str(path)).refuse("samples", len(since), "at least 2")
@@ -351,7 +350,7 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
 
 
 def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
-    """Return what must equal the `first` robot, with as many joints: keys and values."""
+    """Return keys and values that must be equal to those of the `first` robot."""
     return [
         *(
             (
@@ -373,8 +372,6 @@ def _identity(robot: Robot, first: Robot) -> list[tuple[str, Any]]:
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:
-    """Return the friction terms of a joint in fixed order, so that equivalent descriptions are
-    equal.
-    """
+    """Return the friction terms of a joint in a fixed order, which makes equal ones comparable."""
     terms = tuple(term for term in get_args(FrictionTerm) if term in joint.terms)
     return ("for each direction", *terms) if joint.one_sided else terms

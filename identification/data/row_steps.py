@@ -1,21 +1,21 @@
-"""Missing and repeated rows, found from position steps: times of a table without
-stamps do not show them.
+"""Missing and repeated rows, found from the steps of positions.
 
-A robot's speed changes little from row to row, so each step x of the positions is compared with m,
-the median of its four neighbours, two on either side:
+The times of a table without timestamps do not show them. A robot's speed changes little from row to
+row, so each step x of the positions is compared with m, the median of its four neighbours, two on
+either side:
 
     row lost        | 1.0  1.0  1.1  2.2  1.1  1.2  1.2 |   x = 2 m: one row is missing
-    row repeated    | 1.0  1.0  0.0  1.1  1.1  1.2  1.2 |   x = 0: a row came twice
+    row repeated    | 1.0  1.0  0.0  1.1  1.1  1.2  1.2 |   x = 0: a row is repeated
     late, then both | 1.0  1.0  0.0  2.1  1.1  1.2  1.2 |   0, then 2 m: compensated, nothing lost
 
-- **All joints together**: the ratio x/m is that of the least squares of x by m over the joints,
-  each divided by its standard error. A whole multiple of m, within `MAX_ERROR`, counts.
-- **Deviation** of a joint: the scatter of x about m, by its median in blocks of rows; at least that
-  of rounding, which is seen in the smallest changes of a step (quanta of an encoder).
-- **Alike**: a ratio tells something only if three of the four neighbours are near m. Next to a
-  lost or repeated row two are enough, if the others are 0 or 2 m.
-- **Joint by joint**: where steps are above the noise but only a few quanta long, rounding hides
-  multiples from the sum, and double and zero steps are counted for each joint.
+- **All joints together**: the ratio x/m is the least-squares solution of x by m over the joints,
+  each divided by its standard deviation. A whole multiple of m, within `MAX_ERROR`, counts.
+- **Standard deviation** of a joint: the scatter of x about m, by its median in blocks of rows. It
+  is at least that of rounding, which shows in the smallest changes of a step (encoder quanta).
+- **Alike**: a ratio counts only if three of the four neighbours are near m. Next to a lost or
+  repeated row two are enough, if the others are 0 or 2 m.
+- **Joint by joint**: if steps are above the noise but only a few quanta long, rounding hides
+  multiples from the sum, so double and zero steps are counted for each joint.
 """
 
 import numpy as np
@@ -24,28 +24,29 @@ from acquisition.files import release_pages
 
 from ..arrays import Array, Bools
 
-# of steps about their neighbours: smaller ones are not told from double or zero steps
+# Standard deviations; smaller steps cannot be distinguished from double or zero steps.
 MIN_DEVIATIONS = 10.0
-MAX_ERROR = 0.15  # of a step: largest distance from a multiple
-# of a step: of three of four neighbours from their median (of two next to a missing row)
+MAX_ERROR = 0.15  # of a step, largest distance from a multiple
+# Of a step, largest distance of a neighbour from the median of all four.
 MAX_DIFFERENCE = 0.25
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
-MAX_MULTIPLE = 4  # of its neighbours: a longer step does not count as lost rows
-ROUNDING = 1e-9  # of the largest position: smaller steps count as none
-# rows for an estimate of noise and quantum; rows in memory
+MAX_MULTIPLE = 4  # of its neighbours; a longer step does not count as lost rows
+ROUNDING = 1e-9  # of the largest position; smaller steps count as none
+# Rows for an estimate of noise and quantum; rows in memory.
 _BLOCK_ROWS, _ROWS_AT_ONCE = 256, 25_600
 
 
 def position_steps(q: Array) -> tuple[Array, Array]:
-    """Count the steps of positions q (N, n), whose rows are nominally evenly spaced in time, each
-    compared with the median of its four neighbours.
+    """Count the missing and repeated rows of positions q (N, n), nominally equidistant in time.
+
+    Each step is compared with the median of its four neighbours.
 
     Returns
     -------
-    Of all joints together: missing rows, where a step is a multiple of its neighbours; rows without
-    a step; rows without a step, compensated by the next step; and all steps far above noise and
-    quanta. By joint (n, 3): steps above its noise; of those within a few quanta, the double
-    steps and the zero steps.
+    Four counts of all joints together: missing rows, whose step is a multiple of its neighbours;
+    rows without a step; rows without a step that the next step compensates; and all steps far above
+    noise and quanta. And three counts by joint (n, 3): steps above its noise; of those within a few
+    quanta, the double steps and the zero steps.
     """
     whole, coarse = np.zeros(4, dtype=int), np.zeros((q.shape[1], 3), dtype=int)
     for start in range(0, max(1, len(q) - 5), _ROWS_AT_ONCE):
@@ -86,7 +87,7 @@ def _count_of_all(around: Array, x: Array, m: Array, deviation: Array) -> Array:
     near = np.abs(ratio - multiple) < MAX_ERROR
     extra = np.where(near & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0)
     odd = extra != 0
-    # of neighbours that compensate each other
+    # Neighbouring odd steps form a group, in which they may compensate each other.
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]
     net, without = np.bincount(group, extra[odd]), np.bincount(group, extra[odd] < 0)
     held = np.minimum(without, without + net)

@@ -19,8 +19,8 @@ from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_veloc
 from ..arrays import Array, Bools
 
 NAME = "arrays"  # in place of a recording's name
-MAX_OFF_RATE = 0.05  # from the rate of the recording that arrays are of; less is a correction
-COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
+MAX_OFF_RATE = 0.05  # relative to the rate of the recording that arrays come from
+COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # fields of `Signals` with one row per sample
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,7 +162,7 @@ class Signals:
         )
 
 
-# Recordings by their positions, which another rate would move faster or slower.
+# Recordings by their positions, to find out if these are passed with another sample rate.
 OF_FILES = WeakValueDictionary[int, Signals]()
 
 
@@ -198,8 +198,8 @@ def signals_from_arrays(
     of_file, doubts = OF_FILES.get(id(q)), list[str]()
     if of_file is not None and abs(sample_rate_hz / of_file.sample_rate_hz - 1) > MAX_OFF_RATE:
         doubts.append(
-            f"q is of {of_file.recording}, recorded at {of_file.sample_rate_hz:.9g} Hz: fitted at "
-            f"that rate, not at sample_rate_hz = {sample_rate_hz:g}"
+            f"q was read from {of_file.recording}, recorded at {of_file.sample_rate_hz:.9g} Hz: "
+            f"the fit uses this rate, not sample_rate_hz = {sample_rate_hz:g}"
         )
         sample_rate_hz = of_file.sample_rate_hz
     given: dict[str, Any] = {"q": q, "effort": effort, "q_ref": q_ref, **columns}

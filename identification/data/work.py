@@ -1,5 +1,6 @@
-"""Tasks on workers by joblib; results come in the order of the tasks, so that sums over them are
-the same to the last bit.
+"""Tasks on workers, by joblib.
+
+Results come in the order of the tasks, so that sums over them are the same to the last bit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -46,8 +47,8 @@ class Work(NamedTuple):
         parallel = Parallel(
             **how, return_as="generator", pre_dispatch="all", batch_size=1, max_nbytes=None
         )
-        # with `partial` Dask keeps tasks whole: it would store large arguments with one worker,
-        # and lose them with it
+        # With `partial`, Dask keeps a task whole. Else it would store large arguments at one
+        # worker, and lose them with that worker.
         try:
             yield from parallel(delayed(partial(function, *task))() for task in tasks)
         except (BrokenExecutor, CancelledError) as error:

@@ -190,7 +190,7 @@ class InverseModel:
     def _twists(
         self, motion: tuple[Array, Array, Array], links: int, gravity: Array
     ) -> Iterator[tuple[slice, list[Array]]]:
-        """Yield the twists of the base and of the first links, as `_carried`, by block of samples."""
+        """Yield twists of the base and the first links, as `_carried`, by block of samples."""
         base = np.zeros((2, 3, 2, 1))
         base[0, :, 1, 0] = -gravity
         for k in range(0, len(motion[0]), _BLOCK):

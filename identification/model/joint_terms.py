@@ -118,13 +118,12 @@ class JointTerm:
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
-        """Return friction with a sign, without jumps, at speeds dq (N, n), and its slope, (N,)
-        each.
+        """Return friction with a sign, but without jumps, and its slope by u, (N,) each.
 
             sign(u) := x / sqrt(1 + x²),     x = u / creep speed along the direction
             sqrt(abs(u)) := sqrt(abs(u) + ROOT_ROUNDING)
 
-        The slope is the derivative by u. `creep` (n,) are the creep speeds of the joints.
+        `dq` (N, n) are the speeds, `creep` (n,) the creep speeds of the joints, rad/s or m/s.
         """
         friction = FRICTION[self.kind]
         u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))

@@ -1,7 +1,6 @@
-"""The simulated robot: the direct model with any base parameters, in closed loop or as the
-plant of simulated drives.
+"""The simulated robot: the direct model in closed loop, or as the plant of simulated drives.
 
-Friction is stepped implicitly with stick phases, so that light joints do not chatter.
+Friction is integrated implicitly with stick phases, so that light joints do not chatter.
 `described_robot` is the entry point in the group `robot_idim.plants` that dry runs use.
 """
 
@@ -31,26 +30,27 @@ from ..model import (
 if TYPE_CHECKING:
     from acquisition.simulated import LoopGains
 
-# of a direction's speed scale: Coulomb friction builds up linearly below this speed
+# Of a direction's speed scale: Coulomb friction grows linearly up to this speed.
 STICTION = 1e-3
 MODE_PASSES = range(8)  # to find the directions that stick; nearly always one or two suffice
 BRAKE = 1e9  # added to the inertia of a joint whose brake holds
 CHECK_EVERY = 64  # instants between checks of the tracking error
 POSES = 200  # within the joint limits, for a plant's inertias
-POSES_RANGE = np.pi  # rad or m to each side, for joints without a stated range
+POSES_RANGE = np.pi  # rad or m to each side, for joints without given limits
 MAX_PLANT_STEP_S = 0.0005
 
 
 class Friction:
-    """The robot's equation of motion, its smooth part stepped explicitly and
-    its friction implicitly.
+    """The robot's equation of motion, with explicit steps of its smooth part and implicit friction.
 
-    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), with viscous friction
-    at the middle of the step. A direction slips at its full Coulomb level, or sticks: then its
-    friction grows linearly up to a creep speed `v_s`. The modes of the previous step are tried
-    first; a direction that would reverse sticks, one that exceeds v_s slips. Root friction is
-    linearised, below v_s with the slope at v_s, and taken at the middle of the step like viscous
-    friction. Load friction uses the links' torque of the previous step.
+        (M + h V / 2) dv = h (tau - bias - V v - S' f - offset)
+
+    A step h has viscous friction V at its middle. A direction of friction slips at its full Coulomb
+    level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The modes of the
+    previous step are tried first; a direction that would reverse sticks, one that exceeds v_s
+    slips. Square-root friction is linearised, below v_s with the slope at v_s, and has its value at
+    the middle of the step as viscous friction has. Load-dependent friction has the torque of the
+    links in the previous step.
     """
 
     def __init__(
@@ -82,10 +82,10 @@ class Friction:
         self._set_modes(np.sign(self._S @ v), *np.zeros((3, len(fastest))))
 
     def _set_modes(self, mode: Array, static: Array, sliding: Array, steepness: Array) -> None:
-        """Set the modes (c,): +1 and -1 slip that way, 0 sticks.
+        """Set the modes (c,): +1 and -1 slip in that direction, 0 sticks.
 
-        Further friction (c,) is that of directions that stick and that slip, with its slope by the
-        speed.
+        `static` and `sliding` (c,) are further friction of directions that stick and that slip,
+        `steepness` its slope by the speed.
         """
         model, S, own, stuck = self._model, self._S, self._numbers.own, mode == 0
         rest = (model.up + model.down) / 2 + static
@@ -98,10 +98,9 @@ class Friction:
         self._stuck, self._slopes = bool(stuck.any()), bool(slope.any())
 
     def step(self, q: Any, v: Any, tau: Any, held: Bools | None = None) -> Any:
-        """Return the speed (n,), rad/s or m/s, after a step from q, v under the torque tau, (n,)
-        each, with brakes on the joints `held`.
+        """Return the speed (n,) after a step from position q and speed v under the torque tau.
 
-        Raises `ArithmeticError` if M is not positive.
+        Brakes act on the joints `held`. Raises `ArithmeticError` if M is not positive.
         """
         h, dot = self._h, self._numbers.dot
         M, bias = self._at(q, v)
@@ -144,8 +143,9 @@ class Friction:
 
 
 class ClosedLoop:
-    """A robot in closed loop, simulated part by part; the states of robot and controller continue
-    from one to the next.
+    """A robot in closed loop, simulated part by part.
+
+    The states of robot and controller continue from one part to the next.
     """
 
     def __init__(
@@ -179,19 +179,19 @@ class ClosedLoop:
 
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error
     def follow(self, reference: Reference, bound: Array) -> tuple[Array, str | None]:
-        """Follow the next span of a reference that is given once per period of the loop.
+        """Follow the next part of a reference that is given once per period of the loop.
 
         Parameters
         ----------
-        reference : the inputs of the loop at its instants.
-        bound : (n,) largest deviation of a position from the reference, rad or m.
+        reference : inputs of the loop at its instants.
+        bound : (n,) largest distance of a position from the reference, rad or m.
 
         Returns
         -------
-        q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the controller's
-        torque, held until the next row, without encoder noise. And why it ended early, or None: a
-        position is beyond its bound, or the inertia matrix is not positive. The state is never
-        clipped.
+        q, dq, ddq, tau (4, N, n), with `substeps` rows per period: the true motion without encoder
+        noise, and the controller's torque, held until the next row. And the reason for an early
+        end, or None: a position is beyond its bound, or the inertia matrix is not positive. The
+        state is never clipped.
         """
         substeps, q_ref, half = self._substeps, reference.q, 0.5 * self._h
         (N, n), rows, reason = q_ref.shape, 0, None
@@ -230,10 +230,9 @@ class ClosedLoop:
 
 
 class RigidBodyPlant:
-    """The direct model stepped under given efforts, with white disturbance torque of
-    `disturbance` (n,) rms.
+    """The direct model stepped under given efforts, with a white disturbance torque.
 
-    Satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same
+    It satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same
     seed gives the same run.
     """
 
@@ -279,7 +278,8 @@ class RigidBodyPlant:
             return
         noise = self._disturbance * self._rng.standard_normal(len(effort))
         for _ in range(max(1, round(duration_s / self._step_s))):
-            # The links' torque at the start position would be half a step late.
+            # Evaluate the links' torque at the middle of the step: at its start it would be half a
+            # step late.
             middle = self._q + 0.5 * self._step_s * self._dq
             after = self._friction.step(middle, self._dq, effort + noise, held=held)
             self._q, self._dq = middle + 0.5 * self._step_s * after, after
@@ -292,11 +292,15 @@ def open_loop(
     rate: tuple[float, float],
     fastest: Array,
 ) -> Array:
-    """Simulate positions (N, n), rad or m, of a robot from a `start` of position and speed (n,)
-    under torques.
+    """Simulate the positions (N, n) of a robot under given torques, rad or m.
 
-    Torques (N, n) at a `rate` in Hz follow lines between samples, in steps of at most so many s.
-    `fastest` (n,) are the speeds that set below which friction sticks.
+    Parameters
+    ----------
+    model : equation of motion of the robot.
+    start : position and speed (n,) at the start.
+    tau : (N, n) torques, which follow straight lines between samples, N m or N.
+    rate : rate of the torques, Hz, and the longest step, s.
+    fastest : (n,) maximum speeds, which set the speed below which friction sticks.
 
     Raises
     ------
@@ -318,11 +322,10 @@ def open_loop(
 def described_robot(
     robot: Robot, payload: Payload | None = None
 ) -> tuple[RigidBodyPlant, "LoopGains"]:
-    """Return the plant of `robot-acquire record --dry-run`, with the description's `[parameters]`
-    and a payload.
+    """Return the plant of `robot-acquire record --dry-run`, with given `[parameters]` and payload.
 
-    Its loops are for the inertias of the robot without payload, as those of real drives. The robot
-    is at rest in the middle of its ranges.
+    Its loops are set for the inertias of the robot without payload, as those of real drives. The
+    robot is at rest in the middle of its limits.
 
     Raises
     ------
@@ -361,8 +364,9 @@ def described_robot(
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":
-    """Return the control law of simulated drives: the description's, or cascaded loops of its
-    bandwidth for joint inertias J (n,).
+    """Return the control law of simulated drives, for joint inertias J (n,).
+
+    It is the given one, or cascaded loops of the given bandwidth.
     """
     from acquisition.simulated import LoopGains, cascaded_loops
 

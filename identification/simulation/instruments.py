@@ -1,13 +1,12 @@
-"""Instruments of a recording: the columns along the motion of the robot simulated with an estimate,
-made in a task, and how that robot follows the recording.
+"""Instruments of a recording: the columns along the motion of a robot simulated with an estimate.
 
-Where the robot cannot be simulated, its motion is the one that the recorded reference predicts,
-which needs no control law. The error q - r of a controlled robot is gravity, inertia and friction
-through its unknown loop. It is regressed on what these are made of, of the reference alone: 1; sin
-and cos of the joints' angles and of sums of consecutive ones; dr, ddr; friction, tanh(dr / 5 % of
-its peak); dr^3; each also late, which stands for the loop's lags. q^ = r + that has no noise of the
-position, so instruments along it are exogenous by construction. What sticks is not predicted: there
-they are less efficient.
+If the robot cannot be simulated, its motion is the one that the recorded reference predicts, which
+needs no control law. The error q - r of a controlled robot is gravity, inertia and friction through
+its unknown loop. It is regressed on functions of the reference alone: 1; sin and cos of the joint
+angles and of sums of consecutive ones; dr, ddr; friction, tanh(dr / 5 % of its peak); dr^3; each
+also some time earlier, to represent the loop's delay. The sum q^ = r + prediction has no noise of
+the position, so instruments along it are exogenous by construction. Sticking is not predicted, and
+such instruments are less efficient there.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,37 +40,39 @@ from ..regression import (
 from ..report import DirectModelResidual
 from .simulated_recording import COARSE, FINE, SimulatedRecording
 
-MAX_SERIES = 4_000_000  # numbers of a position; of longer ones the motion at rows is kept
+MAX_SERIES = 4_000_000  # numbers of a position; of a longer one only the rows' motion is kept
 InstrumentKind = Literal["simulated", "consistent", "reference"]
-# base parameters (b,) to simulate, their covariance (b, b), and the share (b,) of a payload in them
+# Base parameters (b,) to simulate, their covariance (b, b), and the payload's share (b,) of them.
 Asked = tuple[Array, Array | None, Array]
-# of the motion that the reference predicts
-DELAYS_S = (0.0, 0.02, 0.05, 0.1)
-SMOOTH = 0.05  # of the peak speed
+DELAYS_S = (0.0, 0.02, 0.05, 0.1)  # of the terms of the tracking error
+SMOOTH = 0.05  # share of the peak speed below which friction changes smoothly
 MIN_SINGULAR = 1e-6  # of columns of norm 1
 MOST_SAMPLES = 50_000  # of the regression, evenly spaced
-DESIGN_SAMPLES = 10_000  # whose columns are in memory
-EDGE = 2  # samples to each side of an acceleration
+DESIGN_SAMPLES = 10_000  # whose columns are in memory at a time
+EDGE = 2  # samples to each side that an acceleration needs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulated:
-    """What a robot simulated in a recording gives.
+    """A robot simulated in a recording, and how it follows the recording.
 
     Attributes:
-        recording: its name; `controller`: the kind of its control law; `saturated`: as of
-            `SimulatedRecording`.
-        kind: `simulated`: with the physically consistent parameters nearest to those asked;
-            `consistent`: the same, where the inertia matrix of those asked is not positive;
-            `reference`: not simulated, the motion is that which the reference predicts.
-        reason: why it is not the robot asked; None if it is.
-        gains: (n,) factors on the gains of its control law.
-        prior_known: whether the inertias that these were set for are known.
-        motion: the motion, None once dropped or if nothing was simulated; of a long recording at
-            the instants of the rows.
-        error: (N, n) its position less the measured one.
-        percent: |q_sim - q| in percent of |q - mean|, all joints that move, and `by_joint`; None
-            and empty if nothing was simulated.
+        recording: name of the recording.
+        controller: kind of the control law.
+        saturated: as in `SimulatedRecording`.
+        kind: `simulated` with the physically consistent parameters nearest to the requested ones;
+            `consistent` for the same if the requested ones have an inertia matrix that is not
+            positive; `reference` if nothing was simulated, and the motion is that which the
+            reference predicts.
+        reason: why it is not the requested robot; None if it is.
+        gains: (n,) factors on the gains of the control law.
+        prior_known: True if the inertias are known that these gains were set for.
+        motion: motion; None once dropped, or if nothing was simulated. Of a long recording it has
+            the instants of the rows only.
+        error: (N, n) simulated minus measured position, rad or m.
+        percent: |q_sim - q| in percent of |q - mean|, of all joints that move; None if nothing was
+            simulated.
+        by_joint: the same by joint, with the error of the torque; empty if nothing was simulated.
     """
 
     recording: str
@@ -99,25 +100,25 @@ def simulate(
 
         Z = F[w IDM(q_s, dq_s, ddq_s)]                                                   (D)
 
-    The robot is the physically consistent one nearest to what is asked, or without a covariance
-    that of the very parameters. If nothing is asked, or the robot leaves its reference, instruments
-    are along the motion that the reference predicts.
+    The robot has the physically consistent parameters nearest to the requested ones, or without a
+    covariance exactly these. If nothing is requested, or the robot leaves its reference,
+    instruments are along the motion that the reference predicts.
 
-    The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist
-    wildly long before its inertia matrix stops being positive, and the iteration then has no fixed
-    point.
+    The nearest parameters follow the estimate smoothly. Simulated with the estimate itself, a light
+    wrist would move wildly long before its inertia matrix stops being positive, and the iterations
+    would not converge.
 
     Parameters
     ----------
-    equation : the equation of motion of the recording.
-    prepared : makes the recording in which robots are simulated, for a number of samples and steps
-        per period of the bandwidth.
-    about : x (p,), about which the rows are, and what is asked; None for nothing.
-    further, of_lag : as of `rows_of_recording`.
+    equation : equation of motion of the recording.
+    prepared : function that prepares the recording for simulations, by the number of samples and
+        steps per period of the bandwidth.
+    about : x (p,) at which the rows are linearised, and the requested parameters; None for none.
+    further, of_lag : as in `rows_of_recording`.
 
     Returns
     -------
-    The simulated motion with how it follows the recording, and the rows.
+    The simulated motion with its errors, and the rows.
     """
     x, asked = about
     robot = prepared(COARSE if asked is None else FINE)
@@ -132,7 +133,7 @@ def simulate(
                 own = robot.problem.model, robot.problem.base, beta - payload
                 beta = nearest_consistent(*own, covariance).beta + payload
             if why is None and beta is asked[0]:
-                why = "no physically consistent robot is near: that of the estimate itself"
+                why = "no physically consistent model is near, so the estimate itself is simulated"
         path, gains, reason = robot.simulated(beta)
         if reason is not None:
             kind, why = "reference", reason
@@ -156,12 +157,10 @@ def simulate(
 def _followed(
     found: Simulated, robot: SimulatedRecording, along: Iterator[MotionBlock], measured: Array
 ) -> Simulated:
-    """Return the same with its motion at the samples that are kept, and the errors against the
-    measurement.
+    """Return a copy with its motion, and its errors against the measurement.
 
-    The errors are those of its positions, and their norms in percent of those measured: of the
-    positions about their mean, of all joints that move, and by joint of positions and of torques,
-    `measured` (T, n).
+    The norms of position errors are in percent of the measured position about its mean, those of
+    torque errors in percent of the torques `measured` (T, n).
     """
     problem, moves, kept = robot.problem, ~robot.held, list[list[Array]]()
     few = problem.signals.q.size > MAX_SERIES  # only the instants of the rows
@@ -190,8 +189,9 @@ def _followed(
 
 
 def predicted_motion(problem: Problem) -> FilteredMotion:
-    """Return the motion that the reference predicts, made once for its span; the measured one where
-    no reference is recorded.
+    """Return the motion that the reference predicts, or the measured one without a reference.
+
+    It is computed once for the time range of its samples.
     """
     if (r := problem.signals.q_ref) is None:
         return problem.motion
@@ -201,9 +201,9 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
 
 
 def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMotion:
-    """Return the motion q^ (N, n) at all samples of a recording.
+    """Return the predicted motion q^ (N, n) at all samples of a recording.
 
-    It follows from the errors of those samples that a low-pass lets into the time range used.
+    It is fitted to the errors of the samples that a low-pass lets into the time range used.
     """
     (N, n), q, fs = r.shape, signals.q, signals.sample_rate_hz
     reach = lowpass_reach(rule_cutoff_hz(signals), fs)
@@ -233,8 +233,9 @@ def _predicted(signals: Signals, r: Array, start: int, stop: int) -> FilteredMot
 
 
 def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
-    """Return the terms of which the error consists, (K, p), of a reference (K, n) with peak speeds
-    (n,).
+    """Return the terms (K, p) of the tracking error along a reference r (K, n).
+
+    `peak` (n,) are the peak speeds of the reference.
     """
     dr, n = differentiate(r, sample_rate_hz), r.shape[1]
     sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)

@@ -1,12 +1,12 @@
-"""A recording whose robot is simulated: the same reference, control law and known torques.
+"""A recording whose robot is simulated: the same reference, control law and external torques.
 
-It gives the same blocks of motion as the measured recording, so that the instruments Z are computed
+It has the same blocks of motion as the measured recording, so that the instruments Z are computed
 by the function that computes W. Samples are at 100 times the bandwidth or at the recording's rate,
 whichever is lower; their instants include those of the decimated rows of W. The robot is simulated
-in steps of at least 100 times the bandwidth, at any rate of recording and controller; from 200
+in steps of at least 100 times the bandwidth, at any rate of recording and controller. From 200
 times on, a step has several instants of the controller. The motion of a long recording is on disk.
 
-Checks come first: a reference of another recording, drives that are at their limits.
+Some mistakes are refused first: a reference of another recording, and drives at their limits.
 """
 
 import math
@@ -38,38 +38,40 @@ from ..regression import (
 from .closed_loop import ClosedLoop
 
 FINE = 100.0  # samples and steps per period of the bandwidth, at least
-COARSE = 25.0  # the same where only the motion that the reference predicts is asked for
+COARSE = 25.0  # the same if only the motion is needed that the reference predicts
 CHUNK = 50_000  # instants of the controller that are simulated at a time
-MAX_DEVIATION = 0.5  # of a joint's travel, of a simulation or a reference from the recording
-MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint with less is held
+MAX_DEVIATION = 0.5  # of a joint's travel: largest distance of simulation or reference
+MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type; with less it is held
 MIN_INSTANTS = 30  # of the controller
-MAX_STEPS = 2e7  # to simulate: more is a mistake in the description
-MIN_SATURATED_PERCENT = 5.0  # of saturated samples that explains a deviation from the reference
-# An effort leaves its peaks soon, but not a limit: shares of the samples in ranges of these widths,
-# thousandths of the peak
+MAX_STEPS = 2e7  # of a simulation; more indicate a mistake in the description
+MIN_SATURATED_PERCENT = 5.0  # of saturated samples, which explain a distance from the reference
+# An effort leaves its peaks soon, but stays at a limit: shares of the samples in ranges of these
+# widths, thousandths of the peak.
 MIN_HELD, MIN_HELD_RATIO, HELD_WIDTHS = 0.01, 3.0, np.array([20, 40, 80])
 
 
 class SimulatedRecording:
-    """A recording, prepared once, in which a robot of any base parameters is simulated.
-
-    Its motion has `N` samples: every `stride`-th of the recording, from its sample `first` on. The
-    control loop has `instants`, a period apart, from the same sample on, each with `substeps`
-    simulated steps.
+    """A recording, prepared once, in which a robot with any base parameters is simulated.
 
     Attributes:
-        problem: of the recording, with its samples.
-        blocks: of the rows; `decimation` leads from the samples to the rows.
-        cutoff_hz: of the rule, of the measured and the predicted motion.
-        loop: the control loop, described or found in the recording, or a PD of the given
-            bandwidth.
+        problem: recording with its samples.
+        blocks: blocks of the rows.
+        decimation: decimation from the simulated samples to the rows.
+        N: number of simulated samples.
+        stride: step of these in samples of the recording.
+        first: first sample of the recording that is simulated.
+        cutoff_hz: cut-off of the rule, for the measured and the predicted motion, Hz.
+        loop: control law: given, estimated from the recording, or a default PD controller.
+        instants: number of steps of the control law.
+        substeps: simulated steps in each.
         saturated: percentage of the samples at each motor's limit, by motor and limit.
-        start: the motion at the first instant.
+        start: motion at the first instant.
         fastest: (c,) largest speeds of the reference along the directions of Coulomb friction.
-        held: which joints (n,) the reference holds.
-        bound: (n,) largest deviation of a simulation from the reference.
-        prior: (n,) inertias that the loop's gains were set for; `prior_known`: they are those asked
-            for. Else given gains imply them, and a PD of the given bandwidth suits any.
+        held: (n,) mask of the joints that the reference holds.
+        bound: (n,) largest distance of a simulation from the reference, rad or m.
+        prior: (n,) inertias that the gains of the control law were set for.
+        prior_known: True if these are those of the requested parameters. Else given gains imply
+            them, and a default PD controller suits any.
     """
 
     def __init__(
@@ -83,16 +85,19 @@ class SimulatedRecording:
     ) -> None:
         """Prepare the recording.
 
-        `law`: the control law that the recording shows. The recorded gains are assumed to suit the
-        inertias of the base parameters `prior` (b,); with `gain_update`, equation (E), they follow
-        each estimate's. A period of the bandwidth has at least `rate_per_bandwidth` samples and
-        simulated steps.
+        Parameters
+        ----------
+        problem : the recording.
+        law : control law estimated from the recording.
+        prior : (b,) base parameters whose inertias the recorded gains are assumed to suit.
+        rate_per_bandwidth : smallest number of samples and simulated steps per period of the
+            bandwidth.
+        gain_update : True if the gains follow the inertias of each estimate, equation (E).
 
         Raises
         ------
         BadInputError : a controller is incomplete, its rate does not fit the recording, or the
-            reference
-            belongs to another recording.
+            reference belongs to another recording.
         """
         self.problem = problem = problem.with_samples()
         refuse_foreign_reference(problem)
@@ -115,7 +120,8 @@ class SimulatedRecording:
         self.prior_known = bool((self.prior > 0).all())
         if not self.prior_known:
             self.prior = loop.inertias(hz) if loop is not None else np.ones(robot.n)
-        if loop is None:  # a continuous law: it acts at every step
+        # A default controller is continuous: it acts at every step.
+        if loop is None:
             rate_hz = fs / self.stride
             loop = default_law(hz, self.prior, rate_hz * math.ceil(step_hz / rate_hz - 1e-9))
         self.substeps = max(1, math.ceil(loop.period_s * step_hz - 1e-9))
@@ -124,7 +130,7 @@ class SimulatedRecording:
         self.loop = loop if loop.kind == "surrogate" or not_positive else loop.slower(M, FINE * hz)
         self.instants = math.floor(duration_s / self.loop.period_s + 1e-6) + 1
         self._middle = self.loop.middle
-        # of a short recording made once
+        # The inputs of a short recording are computed once.
         self._whole = self.reference(0, self.instants) if self.instants <= CHUNK else None
         low, high, fastest = zip(
             *(
@@ -142,17 +148,17 @@ class SimulatedRecording:
         self.bound = MAX_DEVIATION * np.maximum(scales, 0.1 * travel.max())
 
     def model_of(self, beta: Array) -> DirectModel:
-        """Return the robot with base parameters beta (b,)."""
+        """Return the equation of motion of the robot with base parameters beta (b,)."""
         return direct_model_of_base(self.problem.model, self.problem.base, beta)
 
     def simulated(self, beta: Array) -> tuple[Array, Array, str | None]:
-        """Simulate the robot of base parameters beta (b,) in closed loop.
+        """Simulate the robot with base parameters beta (b,) in closed loop.
 
         Returns
         -------
-        Its path (4, K, n), which is q, dq, ddq, tau at all steps; the factors (n,) on the
-        controller's gains, equation (E); and why it cannot be simulated, or where it leaves its
-        reference, or None.
+        Its path (4, K, n): q, dq, ddq, tau at all steps; the factors (n,) on the controller's
+        gains, equation (E); and the reason why it cannot be simulated, or leaves its reference, or
+        None.
         """
         (gains, reason), m = self.gains(model := self.model_of(beta)), self.substeps
         if reason is not None:
@@ -175,8 +181,9 @@ class SimulatedRecording:
         return path, gains, None
 
     def motion(self, along: Array | FilteredMotion) -> Iterator[MotionBlock]:
-        """Return the motion of a simulated path (4, K, n), or another one with the recorded
-        torque, block by block; the path is linear between steps.
+        """Yield the motion of a simulated path (4, K, n), or another one, in blocks.
+
+        The path is linear between steps; the other motion has the recorded torque.
         """
         problem, fs = self.problem, self.problem.signals.sample_rate_hz
         for near, inside in self.blocks:
@@ -185,8 +192,8 @@ class SimulatedRecording:
             else:
                 k = np.r_[self.decimation.samples(near, self.N)]
                 steps = k * (self.stride / fs * (self.substeps / self.loop.period_s))
-                # The acceleration is that of the middle of a step; a torque stands for the middle
-                # of the controller's instants.
+                # The acceleration is that of the middle of a step, a torque that of the middle of
+                # the controller's instants.
                 each = zip((0.0, 0.0, 0.5, self._middle), along, strict=True)
                 q, dq, ddq, tau = (_on_lines(steps - early, series) for early, series in each)
                 x = Motion(t_s=(self.first + self.stride * k) / fs, q=q, dq=dq, ddq=ddq, tau=tau)
@@ -197,10 +204,11 @@ class SimulatedRecording:
             )
 
     def gains(self, model: DirectModel) -> tuple[Array, str | None]:
-        """Return factors (n,) on the controller's gains for the inertias of a robot, and why it
-        cannot be simulated, or None.
+        """Return the factors (n,) on the controller's gains, by the inertias of a robot.
 
             K_j <- K_j J_j(beta_k) / J_j(a priori),     J_j = max over the trajectory of M_jj    (E)
+
+        Also return why the robot cannot be simulated, or None.
         """
         M = model.inertia(self.problem.poses)
         # Computed torque keeps its saturation if the inertias it was set for are unknown.
@@ -209,18 +217,19 @@ class SimulatedRecording:
         return factors, why_not_positive(M)
 
     def low_passed(self, of: FilteredMotion, near: slice) -> Motion:
-        """Return a motion, low-passed by the rule, at the samples of these rows."""
+        """Return a motion at the samples of these rows, low-passed by the rule."""
         samples = range(self.first, self.problem.settings.used.stop, self.stride)
         at = samples[self.decimation.samples(near, self.N)]
         return of.between(at[0], at[-1] + 1, self.cutoff_hz).part(slice(None, None, self.stride))
 
     def reference(self, first: int, last: int) -> Reference:
-        """Return the loop's inputs from its instant `first` to before `last`: the recorded
-        reference, or the measured motion.
+        """Return the loop's inputs at the instants `first` to `last` - 1.
+
+        They follow the recorded reference, or the measured motion without one.
         """
         signals, settings = self.problem.signals, self.problem.settings
         fs, m, feedforward = signals.sample_rate_hz, self.loop.periods, None
-        # places of the controller's instants in recorded samples; of those in a step the middle
+        # Places of the controller's instants, in recorded samples; then the middle of each step.
         each = self.first + self.loop.period_s / m * fs * np.arange(first * m, last * m)
         at = each.reshape(-1, m).mean(axis=1)
         low = max(settings.used.start, math.floor(at[0]) - SPLINE_REACH)
@@ -235,26 +244,28 @@ class SimulatedRecording:
             q = np.array(signals.q_ref[near])
             dq, feedforward = differentiate(q, fs), signals.feedforward
             paths = q, dq, differentiate(dq, fs)
-            # before the span the reference stands
+            # The delay is applied within these samples, so the reference is at rest before them.
             at = at - self._late_s * fs
             if self.instants > CHUNK:
                 release_pages(signals.q_ref)
-        if feedforward is not None:  # held between samples: a cubic would overshoot
+        # Feed-forward is held between samples, because a cubic spline would overshoot.
+        if feedforward is not None:
             held = np.minimum(each + 1e-6, settings.used.stop - 1).astype(np.intp)
             feedforward = feedforward[held].reshape(len(at), m, -1).mean(axis=1)
-            if self.loop.kind == "surrogate":  # a surrogate's output is torque at the joints
+            # The output of a default controller is a torque at the joints.
+            if self.loop.kind == "surrogate":
                 feedforward = self.problem.robot.joint_effort(feedforward)
         q, dq, ddq = np.split(sampled_at(at, np.hstack(paths)), 3, axis=1)
         return Reference(q, dq, ddq, known_torque=known, feedforward=feedforward)
 
     def _inputs(self) -> Iterator[tuple[int, Reference]]:
-        """Yield the loop's inputs, and the first instant of each part."""
+        """Yield the first instant of each part, and the loop's inputs."""
         for first in range(0, self.instants, CHUNK):
             yield first, self._whole or self.reference(first, min(self.instants, first + CHUNK))
 
 
 def _on_lines(at: Array, x: Array) -> Array:
-    """Return series x (N, n) at places (K,), on straight lines between their samples.
+    """Return series x (N, n) at places `at` (K,), on straight lines between samples.
 
     Beyond the ends the end samples are used.
     """
@@ -264,18 +275,20 @@ def _on_lines(at: Array, x: Array) -> Array:
 
 
 def position_scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, Bools]:
-    """Return scales (n,) of position errors, from the `travel` (n,) of the reference; and
-    which joints are held.
+    """Return scales (n,) of position errors, and a mask of the joints that are held.
+
+    They follow from the `travel` (n,) of the reference.
     """
-    # A held joint is pushed by its neighbours: its own travel is no scale.
+    # A held joint is pushed by its neighbours, so its own travel is not a scale of errors.
     largest = largest_of_type(travel, joints)
     held = travel < MIN_TRAVEL * largest
     return np.where(held, largest, travel), held
 
 
 def refuse_foreign_reference(problem: Problem) -> None:
-    """Refuse a reference far from the measured position: of another recording, or in other
-    units.
+    """Refuse a reference far from the measured position.
+
+    It may be of another recording, or in other units.
     """
     signals, joints = problem.signals, problem.signals.robot.joints
     if signals.q_ref is None:
@@ -292,7 +305,7 @@ def refuse_foreign_reference(problem: Problem) -> None:
     error = np.sqrt(of_error)
     scale, _ = position_scales(np.sqrt(np.maximum(square - mean**2, 0.0)), joints)
     far = ~(error <= MAX_DEVIATION * scale)
-    # a drive at its limit does not follow
+    # A drive at its limit does not follow its reference, which is not a mistake.
     if far.any() and max(saturated_percents(problem).values(), default=0) <= MIN_SATURATED_PERCENT:
         j, unstated = int(far.argmax()), unstated_limits(problem)
         raise BadInputError(
@@ -306,8 +319,9 @@ def refuse_foreign_reference(problem: Problem) -> None:
 
 
 def saturated_percents(problem: Problem) -> dict[str, float]:
-    """Return the percentage of the recorded samples at each motor's limit, by motor and limit;
-    empty if no limit is given.
+    """Return the percentage of the recorded samples at each motor's limit, by motor and limit.
+
+    It is empty if no limit is given.
     """
     robot, N = problem.signals.robot, len(problem.settings.used)
     at = [
@@ -322,7 +336,7 @@ def saturated_percents(problem: Problem) -> dict[str, float]:
 
 
 def unstated_limits(problem: Problem) -> list[str]:
-    """Describe drives that saturate, below a given limit or without one."""
+    """Describe drives that saturate below a given limit, or without one."""
     found, motors = list[str](), problem.signals.robot.motors
     peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
     counts = np.sum(
@@ -358,7 +372,8 @@ def unstated_limits(problem: Problem) -> list[str]:
 
 def _motor_efforts(problem: Problem) -> Iterator[Array]:
     """Yield the recorded efforts (K, n) of the motors in the time range used, in blocks."""
-    # As recorded: a spline that corrects a lag would overshoot the limit.
+    # Efforts are used as recorded, because a spline that corrects a delay would overshoot the
+    # limit.
     for (effort,) in _blocks(problem, problem.signals.effort):
         yield problem.signals.robot.motor_effort(effort)
 
@@ -375,7 +390,7 @@ def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
 
 
 def refuse_instants(problem: Problem, period_s: float, duration_s: float, substeps: int) -> None:
-    """Refuse a controller whose period gives too few instants, or too many steps to simulate."""
+    """Refuse a controller with too few instants, or too many steps to simulate."""
     signals, periods = problem.signals, duration_s / period_s
     hz, steps, instants = (
         signals.robot.bandwidth_hz,

@@ -116,7 +116,7 @@ def test_unknown_structure_not_reported():
         replace(signals, effort=signals.effort + 30.0 * acceleration * (1 + np.cos(signals.q_ref)))
     )
     assert law.reason is not None
-    assert "linear law" in law.reason
+    assert "linear control law" in law.reason
 
 
 def test_saturated_samples_excluded():

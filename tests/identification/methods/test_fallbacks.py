@@ -57,7 +57,7 @@ def test_no_consistent_model_nearby(monkeypatch):
     part = replace(signals, **{name: getattr(signals, name)[:4000] for name in COLUMNS}, track=None)
     monkeypatch.setattr("identification.simulation.instruments.nearest_consistent", refused)
     fit = identify(part, Overrides(), method="iv")
-    assert all("no physically consistent robot is near" in one.reason for one in fit.passes)
+    assert all("no physically consistent model is near" in one.reason for one in fit.passes)
 
 
 def test_unknown_payload_alone_has_no_scale(capsys):

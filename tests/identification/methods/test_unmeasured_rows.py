@@ -212,6 +212,6 @@ def test_positions_keep_recording_rate(robot, measured, tmp_path):
     signals = signals_from_arrays(log.q, log.effort, 1000, robot)
     assert signals.sample_rate_hz == pytest.approx(500)
     assert signals.t_s[-1] == pytest.approx((len(log.q) - 1) / 500)
-    assert any("recorded at 500 Hz: fitted at that rate" in x.text for x in signals.events)
+    assert any("recorded at 500 Hz: the fit uses this rate" in x.text for x in signals.events)
     for q, rate_hz in ((log.q, 499.0), (log.q.copy(), 1000)):
         assert signals_from_arrays(q, log.effort, rate_hz, robot).sample_rate_hz == rate_hz

@@ -383,5 +383,5 @@ def test_invisible_delay_assumed_with_advice():
     assert one.value == "0 ± 2 ms"
     assert "half-widths at" in one.why
     told = fit_by_least_squares(signals).trust.line("delay")
-    known = "by the described control law" in told.text
+    known = "by the control law in robot.toml" in told.text
     assert known or (told.level == "caution" and "take --method iv" in told.text), told.text
