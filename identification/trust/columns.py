@@ -107,11 +107,11 @@ ADDED_COLUMNS = Words(
         "every term": Case("skipped", "the model has every term that is tried"),
         "missing": Case("caution", "{strongest}{more}", "{each}.", "{finding}"),
         "ok": Case(
-            "ok", "no missing term found ({tried} tried; strongest: {strongest}){lone}{units}"
+            "ok", "none found of {tried} tried; the strongest, {strongest}{lone}{units}"
         ),
     },
     parts={
-        "strongest": "{coefficient}, explains {taken:.1f} % of the residual variance, t = {t:.1f}",
+        "strongest": "{coefficient} would explain {taken:.1f} % of the residual variance (t = {t:.1f})",
         "more": "; {others} more with t above {limit:g}",
         "lone": "; one joint has no relative gain",
         "units": "; relative gains not tried, because the drive gains are not known",

@@ -235,7 +235,7 @@ KINDS = (
     Kind(
         name=ASYMMETRIC,
         torque=lambda of, x, *_: of.friction("Fc") + of.friction("Fv") * np.abs(x.dq),
-        unit="% of it",
+        unit="% of the friction",
         advice='Describe it as friction = "asymmetric", which includes an offset',
         listed=True,
         friction="asymmetric",
@@ -394,7 +394,7 @@ KINDS = (
         at=_of_parts,
         of=("Fc",),
         in_time=lambda u, k: 0.01 * (np.floor(PARTS * (u + 0.5)) == k % PARTS),
-        unit="% of it",
+        unit="% of the friction",
         advice="Look for a brake or a cable that drags then, or leave that time out",
         least_percent=lambda _: 10.0,  # of as many tries, some t are large by chance
         lacks=lambda of, k: "coulomb" in of.robot.joints[k // PARTS].terms,
