@@ -16,11 +16,11 @@ def option(
     flag: str = "",
     **others: Any,
 ) -> dict[str, Any]:
-    """The annotation of a field that is an option: arguments of
-    `ArgumentParser.add_argument`; None is left out.
+    """Return the annotation of a field that is an option: arguments of
+    `ArgumentParser.add_argument`, without those that are None.
 
-    `flag` defaults to `--` and the field's name. `commands.add_options` adds
-    the default to the help.
+    `flag` defaults to `--` and the field's name. `commands.add_options` adds the default to the
+    help.
     """
     return {"help": help, "metavar": metavar, "type": type, "flag": flag, **others}
 
@@ -32,7 +32,7 @@ class RecordOptions:
     track: Annotated[
         Path | None,
         option(
-            "MOVES THE ROBOT along this table of time_s and joint positions (rad, m)",
+            "MOVES THE ROBOT along this table of time_s and joint positions in rad or m",
             "REFERENCE.csv",
             Path,
         ),
@@ -40,22 +40,24 @@ class RecordOptions:
     payload: Annotated[
         str | None,
         option(
-            "mass that the robot carries, kg, and centre of mass, m (+-0.005 after it)",
+            "payload mass in kg and its centre of mass in m; append +-H for a half-width of H m",
             "KG[@X,Y,Z]",
             str,
         ),
     ] = None
-    passive: Annotated[bool, option("never send anything, because another master owns the bus")] = (
-        False
-    )
-    dry_run: Annotated[bool, option("use simulated drives, without a bus")] = False
+    passive: Annotated[
+        bool, option("only listen and never send, for a bus with another master")
+    ] = False
+    dry_run: Annotated[bool, option("simulate the drives; no bus is needed")] = False
     duration_s: Annotated[
-        float | None, option("seconds to record (default: until Ctrl-C)", "S", float, "--duration")
+        float | None,
+        option("recording time in s (default: until Ctrl-C)", "S", float, "--duration"),
     ] = None
     speed: Annotated[
-        float, option("speed factor of --track, above 0 and at most 1 (default 1)", "X", float)
+        float, option("speed factor of --track, greater than 0 and at most 1", "X", float)
     ] = 1.0
-    reset_faults: Annotated[bool, option("with --track, reset drive faults without asking")] = False
+    reset_faults: Annotated[bool, option("reset drive faults before motion without asking")] = False
     unsupervised_drives: Annotated[
-        bool, option("allow --track with drives that do not supervise themselves")
+        bool,
+        option("allow --track although a drive does not monitor its master or following error"),
     ] = False

@@ -40,22 +40,21 @@ def listen_for_others(master: Master) -> RefusedError | None:
         sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
         if sign is not None:
             return RefusedError(
-                f"{sign}: another master is active",
+                f"another master is active ({sign}), so nothing was sent",
                 what="sending",
                 place="bus",
-                expected="none; `robot-acquire record --passive` records without sending. "
-                "Nothing was sent",
+                advice="Stop it, or record without sending: `robot-acquire record --passive`",
             )
         if node is not None:
             device = RefusedError(
-                f"heartbeat of node {node}: a device that robot.toml does not describe, or a "
-                "wrong node id",
+                f"node {node} sends heartbeats, but robot.toml does not describe it; nothing was "
+                "sent",
                 what="sending",
                 place="bus",
                 key="other_nodes",
                 value=master.bus.file.other_nodes,
-                expected=f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing "
-                "was sent",
+                advice=f"Correct the node ids, or set other_nodes = [{node}] in [bus] if the node "
+                "is not a master",
             )
     return device
 
@@ -72,11 +71,10 @@ def refuse_enabled(master: Master) -> list[int]:
         state = master.state(drive)
         if state not in cia.DISABLED:
             raise RefusedError(
-                f"{state.words} before the session began, but no other master was heard",
+                f"the drive is in {state.words}, but no other master was heard",
                 what="the session",
                 place=f"node {drive.node}",
-                expected="switch on disabled; `robot-acquire disable` with this robot.toml "
-                "disables it",
+                advice="Disable it with this robot.toml: `robot-acquire disable ROBOT.toml`",
             )
         if state is cia.State.FAULT:
             in_fault.append(drive.node)
@@ -159,12 +157,12 @@ def confirm_motion(
     for drive in master.bus.drives:
         if is_homed(master, drive) is False:
             raise RefusedError(
-                "not set",
+                "the drive is not homed",
                 what="motion",
                 place=f"node {drive.node} ({drive.name})",
                 key="homed",
                 value=drive.file.homed,
-                expected="a homed drive before motion",
+                advice="Home it before motion",
             )
     words = position_words(robot, joint_positions(robot, master))
     in_fault = [drive for drive in master.bus.drives if master.state(drive) is cia.State.FAULT]
@@ -176,13 +174,15 @@ def confirm_motion(
         return words + faults
     if faults and not reset_faults:
         raise RefusedError(
-            f"not confirmed: {'; '.join(faults)}",
+            f"the reset was not confirmed, so nothing has moved; {'; '.join(faults)}",
             what="motion",
             place="drives",
-            expected="yes to their reset, or --reset-faults. Nothing was moved",
+            advice="Answer yes, or reset faults without asking",
+            arguments=("reset_faults",),
         )
     raise RefusedError(
-        f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion"
+        f"the joint positions were not confirmed, so nothing has moved ({', '.join(words)})",
+        what="motion",
     )
 
 
@@ -256,9 +256,9 @@ class Uploads:
         is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
         is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
         if not cia.REQUEST < can_id <= cia.REQUEST + 127 or not is_read:
-            self._refusal = f"frame 0x{can_id:03X} is no SDO read"
+            self._refusal = f"frame 0x{can_id:03X} is not an SDO read"
         self._refuse()
-        self._say(f"asking node {can_id - cia.REQUEST} of 1 to 127")
+        self._say(f"asking node {can_id - cia.REQUEST} of 127")
         self._next_ns, self._sent = self.now_ns() + REQUEST_INTERVAL_NS, self._sent + 1
         self._link.send(can_id, data)
 
@@ -275,11 +275,11 @@ class Uploads:
     def _checked(self, frame: Frame) -> Frame:
         if frame.flags & ERROR:
             self._refusal = (
-                f"error frame: {cia.error_frame_words(frame.can_id, frame.data)} (is the bitrate "
-                "right, is the bus terminated?)"
+                f"the bus has errors ({cia.error_frame_words(frame.can_id, frame.data)}): the bit "
+                "rate or the terminators may be wrong"
             )
         elif sign := sign_of_master(frame, self.bus):
-            self._refusal = f"{sign}: another master is active"
+            self._refusal = f"another master is active ({sign})"
         self._refuse()
         service, _, node = service_of(frame, self.bus.file.sync_can_id).rpartition(" of node ")
         if service:
@@ -289,11 +289,11 @@ class Uploads:
     def _refuse(self) -> None:
         if self._refusal:
             raise RefusedError(
-                self._refusal,
+                f"{self._refusal}; "
+                + (f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"),
                 what="sending",
                 place="bus",
-                expected="none during a scan; "
-                + (f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"),
+                advice="Scan only a bus without another master and without errors",
             )
 
 
@@ -355,7 +355,7 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
         except NoAnswerError:
             continue
         if answer.kind == "other":
-            return Reading(None, f"more than 4 bytes: expected {size}")
+            return Reading(None, f"more than 4 bytes instead of {size}")
         try:
             cia.check_answer(answer, "value", node, "")
         except SdoAbortedError as error:
@@ -364,6 +364,6 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
             return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         return Reading(
             int.from_bytes(answer.data[:size], "little", signed=signed),
-            "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}",
+            "" if len(answer.data) == size else f"{len(answer.data)} bytes instead of {size}",
         )
     return NO_ANSWER

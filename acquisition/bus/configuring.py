@@ -91,8 +91,11 @@ def read_needs(master: Master, *, track: bool) -> list[Need]:
     """
     needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
     if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
-        unmet.append("`robot-acquire check` lists what a recording and motion need")
-        raise RefusedError("; ".join(unmet), what="the session")
+        raise RefusedError(
+            "; ".join(unmet),
+            what="the session",
+            advice="List all that a recording and motion need: `robot-acquire check ROBOT.toml`",
+        )
     return needs
 
 
@@ -120,7 +123,7 @@ def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str
             without = str(error)
         if without:
             master.by_node[need.drive.node].beats = False
-            warnings.append(f"{without}: its heartbeat is not supervised")
+            warnings.append(f"{without}: its heartbeat is not monitored")
     for drive in master.bus.drives if track else ():
         _await_mode(master, drive)
     return warnings
@@ -143,6 +146,7 @@ def _await_mode(master: Master, drive: Drive) -> None:
                 place=f"node {drive.node}",
                 key=f"mode of operation ({display:04X}:0)",
                 value=shown,
+                text="the drive did not change its mode",
                 expected=f"{int(mode)} ({mode.name.lower().replace('_', ' ')})",
             )
         master.wait(master.link.now_ns() + 10_000_000)
@@ -280,7 +284,7 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
             need = _need(drive, f"{name} {_name(key)}", answers, (), wanted, track=False)
             if not need.refusal and answers[key] != number:
                 need = replace(
-                    need, refusal=f"{form.format(answers[key])}: expected {wanted} as {source} says"
+                    need, refusal=f"{form.format(answers[key])}, but {source} gives {wanted}"
                 )
             yield need
 
@@ -300,13 +304,13 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
     span = most - least if low < high and not home else 0.0
     fastest = drive.motion.rpm if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
-    joints, known = "the joints' limits x ratio", f"the ratio of its motor in robot.toml, {ratio:g}"
+    joints, known = "joint limits x ratio", f"the ratio of its motor in robot.toml, {ratio:g}"
     if span:
         yield _compared(
             drive,
             f"position limits {cia.POSITION_LIMITS + axis:04X}",
             f"{low} to {high}",
-            f"{least:.0f} to {most:.0f} within, {joints}",
+            f"a range within {least:.0f} to {most:.0f} ({joints})",
             ok=max(low - least, most - high) <= TOLERANCE * span,
         )
     if fastest:
@@ -314,7 +318,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             drive,
             f"motor speed {cia.MAX_RPM + axis:04X}",
             f"{rpm} rpm",
-            f"{fastest:.0f} at least, {joints}",
+            f"at least {fastest:.0f} ({joints})",
             ok=rpm >= (1 - TOLERANCE) * fastest,
         )
     # Where a ratio is missing or wrong, both are the same multiple.
@@ -323,8 +327,8 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
         yield _compared(
             drive,
             f"ratio {cia.POSITION_LIMITS + axis:04X} {cia.MAX_RPM + axis:04X}",
-            f"range and speed are {less:.4g} and {more:.4g} times {joints}",
-            f"once: is {known}, right?",
+            f"range and speed are {less:.4g} and {more:.4g} times the {joints}",
+            f"1; check {known}",
             ok=more > (1 + MULTIPLES_DIFFER) * less,
         )
     if ratio and shaft:  # where the description reduces more, a further stage is outside
@@ -336,7 +340,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             ok=ratio * shaft >= (1 - TOLERANCE) * turns,
         )
     ramp, faster = stop_ramp(master, drive)
-    yield _compared(drive, "quick stop ramp", ramp, faster, ok=not faster)
+    yield _compared(drive, "quick stop deceleration", ramp, faster, ok=not faster)
 
 
 def _compared(drive: Drive, name: str, found: str, expected: str, *, ok: bool) -> Need:

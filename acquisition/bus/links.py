@@ -86,10 +86,9 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `RefusedError`: replaces the sending functions of a passive bus."""
     raise RefusedError(
-        "passive: nothing is ever sent",
+        "a passive session never sends",
         what="sending",
         place="bus",
-        expected="an active session for that",
     )
 
 
@@ -131,13 +130,13 @@ def listening_words(file: BusFile) -> str:
             verb if shown else "may acknowledge",
         )
         way_out = (
-            f"to prevent it: ip link set {file.channel} type can bitrate {file.bitrate} "
-            "listen-only on, while it is down"
+            f"to prevent this, run while it is down: ip link set {file.channel} type can bitrate "
+            f"{file.bitrate} listen-only on"
         )
     return f"{file.interface} {file.channel} " + (
-        "listens only: a drive that is alone on the bus gets no acknowledge, and repeats its frame"
+        "only listens: a drive that is alone on the bus gets no acknowledgement and repeats frames"
         if listens
-        else f"{verb} all frames, and destroys them at a wrong bit rate; {way_out}"
+        else f"{verb} all frames, and destroys frames if its bit rate is wrong; {way_out}"
     )
 
 
@@ -151,10 +150,10 @@ def refuse_unconfirmed(bus: Any, place: str) -> None:
         if driver.GetValue(bus.m_PcanHandle, PCAN_LISTEN_ONLY) != (PCAN_ERROR_OK, 1):
             bus.shutdown()
             raise RefusedError(
-                "does not confirm listen-only",
+                "the adapter does not confirm that it only listens",
                 what="recording",
                 place=place,
-                expected="a driver and an adapter that can; no other program may have it open",
+                advice="Close other programs that use it, or use an adapter and driver that can",
             )
 
 
@@ -215,10 +214,10 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         NotImplementedError,
     ) as error:
         raise BusFaultError(
-            f"cannot be opened: {str(error) or type(error).__name__}",
+            f"the bus cannot be opened: {str(error) or type(error).__name__}",
             place=place,
-            expected=(
-                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
+            advice=(
+                "Run `modprobe can_raw`, find the channel with `ip link`, or use another interface"
                 if file.interface == "socketcan"
                 else ""
             ),
@@ -318,7 +317,7 @@ class Link:
                     if time.monotonic() >= until_s:
                         return None
                     continue
-                raise BusFaultError(f"cannot be read: {error}", place="bus") from error
+                raise BusFaultError(f"reading failed: {error}", place="bus") from error
             if message is None:
                 return None
             if getattr(message, "is_fd", False):

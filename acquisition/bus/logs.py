@@ -31,7 +31,7 @@ from .frames import ROW, Frame, frame_of
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
 MAX_PAYLOAD, MAX_CAN_ID = 8, 0x1FFFFFFF  # bytes of classic CAN, identifier of 29 bits
 _AT_ONCE = 2**16  # bytes
-_CUT = "last line, which is cut"
+_CUT = "truncated last line"
 _FIRST_CHANNEL = {".asc": 1, ".blf": 1, ".trc": 0}  # that python-can calls 0
 _REQUEST = re.compile(r"\s*\d+\.\d+\s+(CANFD\s+)?\d+\s+(\w+\s+)?TxRq\b", re.IGNORECASE)
 _STAMP = re.compile(r"\s*(\d+\.\d+)(?=\s)")
@@ -44,14 +44,18 @@ _LINE = re.compile(
     rb"(?:[ \t]+(?:([Tt])|[Rr]))?[ \t\r]*\n"
 )
 _ERROR_FRAME = 0x20000000  # bit of the identifier
-_EXPECTED = "lines as `candump -L` or `-l` writes, such as (1700000000.000312) can0 181#2706"
+_RECORD = "Record with `candump -l`: lines such as (1700000000.000312) can0 181#2706"
 # What else has the suffix .log: the beginning of a line, what it is, and what to do.
 _OTHERS = (
-    (rb"\*+ *BUSMASTER", "is no log of candump but of BUSMASTER", "its export as .asc"),
-    (rb"[;\s]*(\$FILEVERSION|\d+\))", "is no log of candump but of PCAN", "the suffix .trc"),
-    (rb"(?i)date |base |\s*\d+\.\d+ ", "is no log of candump but of Vector", "the suffix .asc"),
-    (rb".*\s[\[{]\d+[\]}]", "is what candump shows on the screen, often without times", _EXPECTED),
-    (rb"", "is no frame of candump", _EXPECTED),
+    (rb"\*+ *BUSMASTER", "the log is of BUSMASTER, not of candump", "Export it as .asc"),
+    (rb"[;\s]*(\$FILEVERSION|\d+\))", "the log is of PCAN, not of candump", "Rename it to .trc"),
+    (rb"(?i)date |base |\s*\d+\.\d+ ", "the log is of Vector, not of candump", "Rename it to .asc"),
+    (
+        rb".*\s[\[{]\d+[\]}]",
+        "this is what candump shows on the screen, often without times",
+        _RECORD,
+    ),
+    (rb"", "the line is not a frame of candump", _RECORD),
 )
 
 
@@ -76,7 +80,8 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     """
     if path.suffix.lower() not in SUFFIXES:
         Location(str(path)).refuse(
-            text=f"suffix {path.suffix!r}", expected=".log (candump), .asc, .blf or .trc"
+            text=f"the suffix {path.suffix!r} is unknown",
+            expected=".log (candump), .asc, .blf or .trc",
         )
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
     waiting = defaultdict[str, bytearray](bytearray)
@@ -92,14 +97,15 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
                     stored[interface].write(waiting.pop(interface))
             else:
                 Location(f"{path}: frame {number}").refuse(
-                    text=f"time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X}, {len(data)} bytes",
-                    expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, 29 bits and 8 bytes at most",
+                    text=f"the frame has time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X} and "
+                    f"{len(data)} bytes",
+                    expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, at most 29 bits and 8 bytes",
                 )
         for interface, rows in waiting.items():
             stored[interface].write(rows)
     except OSError as error:
         raise BadInputError(
-            f"cannot be read: {error.strerror or error}", place=str(path)
+            f"the log cannot be read: {error.strerror or error}", place=str(path)
         ) from error
     return {name: np.frombuffer(some.whole(), FRAME) for name, some in stored.items()}, +left_out
 
@@ -131,8 +137,8 @@ def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fra
             elif not line.endswith(b"\n"):
                 left_out[_CUT] += bool(line.strip(b" \t\r\0"))
             elif line.strip():
-                _, text, expected = next(other for other in _OTHERS if re.match(other[0], line))
-                raise BadInputError(text, place=f"{path}: line {number}", expected=expected)
+                _, text, advice = next(other for other in _OTHERS if re.match(other[0], line))
+                raise BadInputError(text, place=f"{path}: line {number}", advice=advice)
 
 
 def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
@@ -154,7 +160,7 @@ def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fram
         raise
     except Exception as error:  # on damaged files the readers raise errors of any kind
         raise BadInputError(
-            f"damaged after {count} frames: {str(error)[:200] or type(error).__name__}",
+            f"the log is damaged after {count} frames: {str(error)[:200] or type(error).__name__}",
             place=str(path),
         ) from error
     finally:
@@ -181,7 +187,7 @@ def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
         for line in file:
             if version := _OTHER_VERSION.match(line):
                 Location(str(path)).refuse(
-                    text=f"version {version[1]} of PCAN's format",
+                    text=f"version {version[1]} of the PCAN format is not supported",
                     expected="1.0, 1.1, 1.3, 2.0 or 2.1",
                 )
             relative = relative or _RELATIVE.match(line) is not None

@@ -141,7 +141,7 @@ class Master:
                 f"two devices answer as node {min(self.doubled)}",
                 what="the session",
                 place="bus",
-                expected="one device for each node id: disconnect one, and change its id",
+                advice="Disconnect one of them, and change its node id",
             )
 
     def _note_sign(self, frame: Frame) -> None:
@@ -266,9 +266,10 @@ class Master:
                 if (answer := self.answered(node, request)) is not None:
                     return answer
         raise NoAnswerError(
-            f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?",
+            f"the drive did not answer within {SDO_TIMEOUT_NS / 1e9:g} s",
             node=node,
             place=place,
+            advice="Check that it is on and that its node id is right",
         )
 
 

@@ -80,9 +80,7 @@ class MasterHeartbeat:
                 entries = heartbeat_consumers(self._master, node)
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
-                    raise BusFaultError(
-                        "no free sub-index", place=f"node {node}: object 1016", expected="one"
-                    )
+                    raise BusFaultError("no sub-index is free", place=f"node {node}: object 1016")
                 before = entries[sub - 1]
                 # An entry of this master was left by a session that was killed: it
                 # is removed at the end.
@@ -90,7 +88,7 @@ class MasterHeartbeat:
                 self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, entry, 4)
             except BusFaultError as error:
                 self._before.pop(node, None)
-                refused.append(f"{error}: the drive does not detect the loss of this master")
+                refused.append(f"{error}; the drive does not detect the loss of this master")
         self._master.at_sync = self._at_sync
         return refused
 
@@ -124,7 +122,12 @@ ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
 NO_WINDOW = 2**32 - 1
 MIN_RAMP_SHARE = 0.5  # of the acceleration limit: a slower quick stop is refused
 
-_RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
+_RAMPS = {
+    1: "slow-down deceleration",
+    2: "quick stop deceleration",
+    3: "current limit",
+    4: "voltage limit",
+}
 _THEN_OFF = {0: "voltage off at once, the motor coasts"} | {
     k: f"{ramp}, then off" for k, ramp in _RAMPS.items()
 }
@@ -150,7 +153,7 @@ _STOPS = dict(
         strict=True,
     )
 )
-NOT_THERE = "not there"
+NOT_THERE = "does not exist"
 Property = tuple[str, str]  # of a drive: name, value in words
 
 
@@ -197,7 +200,7 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     scale, unit = drive.motion.counts_per_joint
     if ramp is None:
         return (
-            "unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s",
+            "unknown: voltage is switched off if the speed does not fall by 5 % in 0.05 s",
             "",
         )
     speed, min_ramp = drive.motion.speed, MIN_RAMP_SHARE * (drive.motion.acceleration or 0.0)
@@ -206,7 +209,7 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
         f"{ramp / scale:.4g} {unit}/s²{rest}",
         ""
         if ramp >= min_ramp - 1  # drives state whole counts
-        else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit",
+        else f"at least {min_ramp / scale:.4g} for motion, half the acceleration limit",
     )
 
 
@@ -223,10 +226,10 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
     except (NoAnswerError, SdoAbortedError):
         sub = None
     lacks = {
-        f"none of the master (no free 1016, {reaction:04X} is 0 or not there)": (
+        f"a lost master has no effect (1016 has no free entry, {reaction:04X} is 0 or missing)": (
             sub is None and not read_if_there(master, drive, reaction)
         ),
-        f"none of the following error ({window:04X} is off or not there)": (
+        f"the following error is not monitored ({window:04X} is off or missing)": (
             read_if_there(master, drive, window) in (None, NO_WINDOW)
         ),
     }
@@ -242,7 +245,8 @@ def refuse_unsupervised(master: Master) -> None:
                 what="motion",
                 place=f"node {drive.node} ({drive.name})",
                 key="supervision",
-                expected="both; or --unsupervised-drives",
+                advice="Enable this in the drive, or allow motion without it",
+                arguments=("unsupervised_drives",),
             )
 
 
@@ -251,10 +255,10 @@ def second_stop(file: BusFile) -> str:
     hangs.
     """
     return (
-        "the recorder's process stops the drives of a tracking session that dies or hangs"
+        "the recorder's process stops the drives if a session dies or hangs in motion"
         if file.interface in SHARED
-        else f"none: {file.interface} opens once only: if the session dies or hangs, only the "
-        "drives' own supervision stops them"
+        else f"none, because {file.interface} can be opened only once: if the session dies or "
+        "hangs, only the monitoring functions of the drives stop them"
     )
 
 
@@ -263,13 +267,13 @@ def _consumers(master: Master, drive: Drive) -> Property:
     try:
         entries = heartbeat_consumers(master, drive.node)
     except (NoAnswerError, SdoAbortedError):
-        return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
+        return name, f"{NOT_THERE}, so the drive does not detect the loss of the master"
     used = ", ".join(
         f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF
     )
     sub = free_entry(entries, file.master_node)
     return name, (used or "none in use") + (
-        ": no free sub-index: the drive does not detect the loss of the master"
+        "; no sub-index is free, so the drive does not detect the loss of the master"
         if sub is None
         else f"; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
         f"{timeout_ms(file)} ms) to sub-index {sub}"
@@ -298,7 +302,7 @@ def _following_error(master: Master, drive: Drive) -> Property:
     name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
-    return name, f"{window}: an error above {window} of the drive's position units" + (
+    return name, f"{window}: an error of more than {window} position units of the drive" + (
         "" if time_ms is None else f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})"
     )
 

@@ -41,8 +41,8 @@ T = TypeVar("T", bound="DataclassInstance")
 
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files"}  # of shtab, `FILE`
 STATUSES = (
-    "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
-    "3 a result that is not to be trusted (fit, fleet, validate); 130 Ctrl-C"
+    "exit status: 0 success; 1 error, in one line on standard error; 2 wrong usage; "
+    "3 result that must not be trusted (fit, fleet, validate); 130 Ctrl-C"
 )
 # letters that two words have in common, of all their letters, for one to be meant by the other
 _ALIKE = 0.75
@@ -84,7 +84,7 @@ class Program:
             "--version",
             action=_Versions,
             nargs=0,
-            help="versions of this program and its dependencies",
+            help="print the versions of this program and its dependencies",
         )
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for name, help_text in self.commands.items():
@@ -125,14 +125,14 @@ class Program:
             )
             for name in (chosen, *flags, *(f"{chosen} {flag}" for flag in flags)):
                 if name in self.gone:
-                    parser.error(f"{name} is gone: {self.gone[name]}")
+                    parser.error(f"{name} no longer exists: {self.gone[name]}")
             if flags[:1] == ["--print-completion"]:  # of all commands; shtab is optional
                 parser = self.parser(*self.commands)
                 try:
                     import_module("shtab").add_argument_to(parser, "--print-completion")
                 except ImportError:
                     parser.error(
-                        "--print-completion needs shtab: pip install 'robot-idim[completion]'"
+                        "--print-completion needs shtab. Run: pip install 'robot-idim[completion]'"
                     )
             options = parser.parse_args(given)
             names.update(options.option_of_argument)
@@ -219,7 +219,7 @@ def add_options(
         elif get_origin(kind) is Literal:
             how |= {"choices": get_args(kind), "type": str.lower}
         if default is not None and kind is not bool and "default" not in how["help"]:
-            how["help"] += f" (default {_default_text(default)})"
+            how["help"] += f" (default: {_default_text(default)})"
         parser.add_argument(
             how.pop("flag") or f"--{field.name.replace('_', '-')}",
             dest=field.name,
@@ -263,13 +263,13 @@ def add_bus(parser: "argparse._ActionsContainer", *, required: bool) -> None:
         "--interface",
         required=required,
         metavar="NAME",
-        help="interface name of python-can: socketcan, udp_multicast, ...",
+        help="interface of python-can, such as socketcan or udp_multicast",
     )
     parser.add_argument(
         "--channel",
         required=required,
         metavar="NAME",
-        help="channel, such as can0 or a multicast group",
+        help="channel of the interface, such as can0 or a multicast group",
     )
 
 
@@ -354,7 +354,7 @@ def run_command(
             return _refuse(
                 err,
                 program,
-                f"standard output: cannot be written: {out.error.strerror or out.error}",
+                f"standard output cannot be written: {out.error.strerror or out.error}",
                 1,
             )
         return status

@@ -8,7 +8,7 @@ from .command_line import add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
+    add_path(parser, "robot", "ROBOT.toml", "description of the robot and its drives")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,5 +26,5 @@ def run(options: argparse.Namespace) -> int:
     if unconfirmed:
         print(not_disabled(unconfirmed), file=sys.stderr)
         return 1
-    print(f"disabled: nodes {', '.join(map(str, nodes))}; all in pre-operational")
+    print(f"disabled: nodes {', '.join(map(str, nodes))}, all in NMT state pre-operational")
     return 0

@@ -19,24 +19,29 @@ OPTIONS = {
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(
-        parser, "file", "FILE", "robot.toml, or a recording whose drives' frames and SYNC are sent"
+        parser,
+        "file",
+        "FILE",
+        "robot.toml to simulate, or recording whose drives and SYNC are replayed",
     )
-    description = parser.add_argument_group(f"of {OF_DESCRIPTION}")
-    add_path(description, "--replay", "LOG.mcap", "the drives follow the samples of this recording")
+    description = parser.add_argument_group(f"options for {OF_DESCRIPTION}")
+    add_path(
+        description, "--replay", "LOG.mcap", "let the drives follow the samples of this recording"
+    )
     add_flag(
         description,
         "--unsupervised",
-        "simulate drives that do not detect a lost SYNC or a lost master",
+        "simulate drives that detect neither a lost SYNC nor a lost master",
     )
     description.add_argument(
-        "--duration", type=float, metavar="S", help="seconds to run (default: until Ctrl-C)"
+        "--duration", type=float, metavar="S", help="time to run in s (default: until Ctrl-C)"
     )
-    recording = parser.add_argument_group(f"of {OF_RECORDING}")
+    recording = parser.add_argument_group(f"options for {OF_RECORDING}")
     add_bus(recording, required=False)
     recording.add_argument(
-        "--speed", type=float, metavar="X", help="speed factor, above 0 (default 1)"
+        "--speed", type=float, metavar="X", help="speed factor, greater than 0 (default: 1)"
     )
-    add_flag(recording, "--onto-bus", "allow an interface that may lead to hardware")
+    add_flag(recording, "--onto-bus", "allow an interface to which hardware may be connected")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -50,15 +55,16 @@ def run(options: argparse.Namespace) -> None:
     for name in OPTIONS[other]:
         Location(f"--{name.replace('_', '-')}").require(
             getattr(options, name) in (None, False),
-            text=f"is only for {other}",
-            expected=f"none with {options.file}",
+            text=f"this option is only for {other}",
+            advice=f"Remove it, or pass {other} as FILE",
         )
     for name in ("interface", "channel") if is_played else ():
         COMMAND_LINE.require(
             getattr(options, name) is not None,
             f"--{name}",
             None,
-            "the bus to send the frames on",
+            text="the frames need a bus",
+            advice="Name it: --interface NAME --channel NAME",
         )
     stop = Stop()
     with stop_on_signals(stop):
@@ -101,14 +107,14 @@ def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
         "interface",
         "virtual",
         "udp_multicast or socketcan",
-        text="other programs cannot join it",
+        text="other programs cannot use this bus",
     )
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
         samples = Location(str(options.replay)).given(
-            recording.samples, text=recording.no_samples, expected="some to replay"
+            recording.samples, text=f"it has no samples to replay: {recording.no_samples}"
         )
         mechanism = DrivenPlant(
             plant=TablePlant(samples, recording.sample_rate_hz),

@@ -25,53 +25,52 @@ def add(parser: argparse.ArgumentParser) -> None:
         inputs,
         "tables",
         "FILE",
-        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, "
-        ".mcap, .db3); or one CAN log (candump .log, .asc, .blf, .trc); or one EtherCAT capture "
-        "(pcap, pcapng); or one recording: its frames are decoded, and a cut one is repaired",
+        "CSV or MAT files in the order of their numbers in the map; or one ROS 2 bag (folder, "
+        ".mcap, .db3), CAN log (.log of candump, .asc, .blf, .trc), EtherCAT capture (.pcap, "
+        ".pcapng) or recording, which is decoded again, and repaired if it is truncated",
         nargs="+",
     )
-    add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
+    add_path(inputs, "--robot", "ROBOT.toml", "robot description (a recording contains its own)")
     add_path(
         inputs,
         "--map",
         "MAP.toml",
-        "meaning of the columns (default: FILE.map.toml; proposed if it is missing)",
+        "meaning of the columns (default: FILE.map.toml, proposed if it does not exist)",
     )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument(
         "--topic",
         metavar="NAME",
-        help="topic of JointState; after a comma of JointTrajectoryControllerState (default: the "
-        "only ones)",
+        help="topic of type JointState, then after a comma one of type "
+        "JointTrajectoryControllerState (default: the only ones)",
     )
     bag.add_argument(
         "--effort-unit",
         metavar="UNIT",
-        help="required with a bag, unit of the effort: 'N m' at the joints (prismatic: force in "
-        "N), or A, V, ... at the motors; one for all joints, or one per joint separated by commas",
+        help="unit of the efforts: 'N m' at the joints (N if prismatic), or A, V, ... at the "
+        "motors; one for all joints, or one per joint separated by commas; required for a bag",
     )
     bag.add_argument(
         "--resample-hz",
         type=float,
         metavar="HZ",
-        help="sample rate in Hz after interpolation (default: the rate of the time stamps, "
-        "rounded)",
+        help="sample rate in Hz to interpolate to (default: rounded rate of the timestamps)",
     )
     parser.add_argument_group("EtherCAT capture").add_argument(
         "--mapping",
         metavar="0x6041:16,0x6064:32,...",
         action="append",
         default=[],
-        help="for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the "
-        "order of the bus",
+        help="PDO inputs of one slave, for captures that start after the bus was configured; "
+        "write gaps as 0:BITS; repeat in bus order",
     )
     outputs = parser.add_argument_group("outputs")
     add_path(
         outputs,
         "-o --output",
         "LOG.mcap",
-        "the recording to write (default: named as the first FILE)",
+        "recording to write (default: name of the first FILE)",
     )
     add_overwrite(outputs)
 
@@ -110,7 +109,12 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
 
     out, tables = options.output, options.tables
     if options.mapping and (options.topic or options.map or not is_log(tables[0])):
-        COMMAND_LINE.refuse("--mapping", options.mapping[0], "an EtherCAT capture")
+        COMMAND_LINE.refuse(
+            "--mapping",
+            options.mapping[0],
+            text="this option is only for EtherCAT captures",
+            advice="Remove it",
+        )
     robot = None if options.robot is None else load_robot(options.robot)
     payload = (
         None if options.payload is None or robot is None else parse_payload(options.payload, robot)
@@ -122,14 +126,18 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
             options.payload is None,
             "--payload",
             options.payload,
-            "none with a recording, whose payload is kept; `robot-identify fit --payload` "
-            "replaces it",
+            text="a recording keeps its own payload",
+            advice="Remove the option; `robot-identify fit --payload` replaces the payload",
         )
         return import_recording(tables[0], out, robot, str(options.robot or ""))
     if not bag and options.map is None and _propose(options, robot):
         return None
     robot = COMMAND_LINE.given(
-        robot, "--robot", None, "the robot's description; only recordings have their own"
+        robot,
+        "--robot",
+        None,
+        text="only recordings contain a robot description",
+        advice="Pass --robot ROBOT.toml",
     )
     if bag:
         _refuse_as_bag(options)
@@ -200,13 +208,13 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     print(
         one_line(
             f"{options.map}: proposed; "
-            f"{f'to be filled in: lines {missing}' if missing else 'complete'}"
+            f"{f'complete its lines {missing}' if missing else 'nothing is missing'}"
         )
     )
     if robot is not None and sensors and any(joint.rotor_inertia for joint in robot.joints):
         print(
             one_line(
-                f"note: {TORQUE_SENSORS} do not see the rotors: state rotor_inertia = false in "
+                f"note: {TORQUE_SENSORS} do not measure the rotors: set rotor_inertia = false in "
                 f"{options.robot}"
             )
         )
@@ -238,8 +246,8 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
             value is None,
             name,
             value,
-            "none; for tables, time.resample_hz and effort.unit in MAP.toml",
-            text="is only for ROS 2 bags",
+            text="this option is only for ROS 2 bags",
+            advice="For tables, set time.resample_hz and effort.unit in MAP.toml",
         )
 
 
@@ -248,22 +256,22 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
         options.map is None,
         "--map",
         str(options.map),
-        "no --map with a bag",
-        text="is only for tables",
+        text="this option is only for tables, not for bags",
+        advice="Remove it",
     )
     _refuse_second(options.tables, "bag")
     COMMAND_LINE.require(
         options.effort_unit is not None,
         "--effort-unit",
         None,
-        "the unit that the driver's manual states: 'N m', A, ...",
-        text="a bag does not contain it",
+        text="a bag does not contain the unit",
+        advice="Pass the unit that the driver's manual gives, such as 'N m' or A",
     )
     COMMAND_LINE.require(
         options.resample_hz is None or 0 < options.resample_hz < math.inf,
         "--resample-hz",
         options.resample_hz,
-        "a number above 0",
+        "a finite number greater than 0",
     )
 
 
@@ -273,13 +281,14 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
     for path in paths:
         Location(str(path)).require(
             is_log(path),
-            text="a table needs --map MAP.toml",
-            expected="the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, "
-            ".trc)",
+            text="a table needs a map of its columns",
+            advice="Pass --map MAP.toml, or import a CAN log (.log, .asc, .blf, .trc)",
         )
     _refuse_second(paths, "CAN log")
 
 
 def _refuse_second(paths: Sequence[Path], kind: str) -> None:
     for path in paths[1:]:
-        Location(str(path)).refuse(text=f"is a second {kind}", expected="one")
+        Location(str(path)).refuse(
+            text=f"only one {kind} can be imported at a time", advice="Import this one separately"
+        )

@@ -9,8 +9,8 @@ from .command_line import Progress, add_flag, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap", "the recording")
-    add_flag(parser, "--json", "print JSON, for programs")
+    add_path(parser, "recording", "LOG.mcap", "recording to show")
+    add_flag(parser, "--json", "print JSON for other programs")
     add_path(parser, "--csv", "OUT.csv", "write the joint samples to this table")
 
 

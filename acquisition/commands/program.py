@@ -4,16 +4,16 @@ from .command_line import Program
 
 PROGRAM = Program(
     name="robot-acquire",
-    description="Record robots and their drives.",
+    description="Record robots with CANopen drives, and import recordings.",
     package=__package__,
     commands={
-        "scan": "find the drives of an unknown bus; listens and reads only",
-        "check": "go or no go: which drives answer, do they match robot.toml",
-        "record": "record drives; nothing moves without --track",
-        "disable": "stop and disable all drives, whoever enabled them",
-        "emulate": "put simulated drives, or those of a recording, on a bus",
-        "import": "make a recording from tables, bags, logs or recorded frames",
-        "info": "show what a recording contains, and write it as CSV",
+        "scan": "find the drives of an unknown bus by listening and reading only",
+        "check": "check whether the drives answer and match robot.toml (go/no-go)",
+        "record": "record the drives; the robot moves only with --track",
+        "disable": "stop and disable all drives, including those enabled by another program",
+        "emulate": "run simulated drives for any CANopen master, or replay recorded ones",
+        "import": "convert tables, bags, logs or recorded frames to a recording",
+        "info": "show what a recording contains, and export it as CSV",
     },
     gone={
         "decode": "use import LOG.mcap -o OUT.mcap",

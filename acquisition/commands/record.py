@@ -31,17 +31,17 @@ MAX_NOTE_BYTES = 1000  # of a line; the rest of a longer one is the next note
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "robot", "ROBOT.toml", "description of robot and drives")
+    add_path(inputs, "robot", "ROBOT.toml", "description of the robot and its drives")
     add_options(inputs, RecordOptions, "track")
     session = parser.add_argument_group("session")
     add_options(session, RecordOptions, "payload", "passive", "dry_run", "duration_s", "speed")
-    add_flag(session, "--yes", "start --track without asking whether the joint positions are right")
+    add_flag(session, "--yes", "start --track without asking to confirm the joint positions")
     add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
     add_path(
         parser.add_argument_group("outputs"),
         "-o --output",
         "LOG.mcap",
-        "the recording to write",
+        "recording to write",
         required=True,
     )
 
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     if options.payload is not None:
         payload = parse_payload(options.payload, robot).describe(robot.joints[-1].name)
         print(
-            f"payload {payload}: no limit of robot.toml counts it; is it within the rated payload?",
+            f"payload {payload}: the limits of robot.toml ignore it. Check the rated payload.",
             file=sys.stderr,
         )
     stop, line = Stop(), StatusLine()
@@ -80,11 +80,12 @@ def run(options: argparse.Namespace) -> int:
 
     if sys.stderr.isatty():
         print(
-            f"watch it in a second terminal: robot-identify view {options.output} --follow",
+            "To watch the session in a second terminal: "
+            f"robot-identify view {options.output} --follow",
             file=sys.stderr,
         )
         if os.isatty(STDIN):
-            print("to note something: m, the text, Enter", file=sys.stderr)
+            print("To add a note: press m, type the text, press Enter", file=sys.stderr)
     line.show(("starting", False))
     try:
         with stop_on_signals(stop):
@@ -113,12 +114,12 @@ def _check_options(options: argparse.Namespace) -> None:
         options.duration_s is None or 0 < options.duration_s < float("inf"),
         "--duration",
         options.duration_s,
-        "more than 0, and finite",
+        "a finite number greater than 0",
     )
     Location("--track").require(
         options.track is None or options.dry_run or options.yes or os.isatty(STDIN),
-        text="nobody can confirm the joint positions",
-        expected="a terminal, or --yes",
+        text="without a terminal, the joint positions cannot be confirmed",
+        advice="Run the command in a terminal, or pass --yes",
     )
 
 
@@ -132,7 +133,7 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
 
     if outcome.fault:  # the reason is printed before what was recorded
         _tell(
-            f"robot-acquire: {out}: ended by a fault: "
+            f"robot-acquire: {out}: the session ended with a fault: "
             f"{'; '.join((outcome.reason, *outcome.reports))}"
         )
     for text in () if outcome.fault else recorded.warnings:
@@ -141,18 +142,18 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     print(one_line(f"{out}: {robot.name}, {found}; {outcome.reason}"))
     Location(str(out)).require(
         recorded.path is None or recorded.path.absolute() == out.absolute(),
-        text=f"was deleted: the recording is in {recorded.path}",
+        text=f"the file was deleted during the session; the recording is now in {recorded.path}",
     )
     if outcome.fault:
         return 1
     if outcome.alarm:
         raise BusFaultError(outcome.alarm, place=str(out))
     if outcome.cut_short and outcome.reason != INTERRUPTED:
-        raise BusFaultError(f"the session was cut short: {outcome.reason}", place=str(out))
+        raise BusFaultError(f"the session ended early: {outcome.reason}", place=str(out))
     left = (
-        "nothing was recorded, and no file is left"
+        "nothing was recorded, so no file was kept"
         if recorded.path is None
-        else "no samples, but the frames are in the recording"
+        else "the recording contains frames, but no samples"
     )
     Location("").require(not recorded.no_samples, text=f"{left}: {recorded.no_samples}")
     return 0
@@ -166,7 +167,7 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
     with suppress(termios.error):  # what was typed before the question does not answer it
         termios.tcflush(STDIN, termios.TCIFLUSH)
     print(
-        "Are these joint positions right, and may the robot move? yes or no: ",
+        "Are these joint positions correct, and may the robot move? (yes or no) ",
         end="",
         file=sys.stderr,
         flush=True,

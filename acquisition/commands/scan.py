@@ -16,10 +16,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--bitrate",
         type=int,
         metavar="BIT/S",
-        help="needed for an adapter; ip link sets socketcan's",
+        help="bit rate in bit/s; required for an adapter (for socketcan, ip link sets it)",
     )
     add_path(
-        parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in"
+        parser,
+        "--toml",
+        "BUS.toml",
+        "write a [bus] table with one entry per drive; complete its marked lines",
     )
 
 
@@ -36,20 +39,20 @@ def run(options: argparse.Namespace) -> None:
         interface != "socketcan" or bitrate is None,
         "--bitrate",
         bitrate,
-        f"none: ip link set {options.channel} type can bitrate {bitrate}",
-        text="of socketcan",
+        text="the system sets the bit rate of socketcan",
+        advice=f"Run this instead: `ip link set {options.channel} type can bitrate {bitrate}`",
     )
     COMMAND_LINE.require(
         bitrate in BITRATES or (bitrate is None and interface in SHARED),
         "--bitrate",
         bitrate,
         f"one of {', '.join(map(str, BITRATES))}",
-        text="a wrong one destroys the frames of others",
+        text="a wrong bit rate destroys the frames of other nodes",
     )
     Location(str(out)).require(
         out is None or not out.exists(),
-        text="already exists",
-        expected="a new name; descriptions are not replaced",
+        text="the file already exists",
+        advice="Choose a new name; a description is never replaced",
     )
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
     # id of many new drives.
@@ -68,9 +71,9 @@ def run(options: argparse.Namespace) -> None:
     Location(f"bus: {interface} {options.channel}").require(
         nodes,
         text="no node answers",
-        expected="one at least: drives on, cable, terminators, bitrate",
+        advice="Check the power of the drives, the cable, the terminators and the bit rate",
     )
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
         write_text(out, text)
-        print(one_line(f"{out}: to be filled in: {text.count(FILL_IN)} lines with {FILL_IN}"))
+        print(one_line(f"{out}: complete the {text.count(FILL_IN)} lines marked {FILL_IN}"))

@@ -62,7 +62,7 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
     """
     rows = []
     for node, readings in nodes.items():
-        others = {"no drive": GROUPS["drive"], "name, versions": TEXTS}
+        others = {"not a drive": GROUPS["drive"], "name, versions": TEXTS}
         for subject, group in (GROUPS if is_drive(readings) else others).items():
             keys = [key for key in readings if key[0] in group]
             ok = all("not exist" in readings[key].problem for key in keys if readings[key].problem)
@@ -81,7 +81,7 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
                     and "not exist" not in reading.problem
                 }
             )
-            text = "; ".join([*_pdos(readings), *unread]) or "none is mapped"
+            text = "; ".join([*_pdos(readings), *unread]) or "no PDO is mapped"
             rows.append(Finding("PDOs", text, ok=not unread, node=node))
     return rows + [
         Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node)
@@ -133,29 +133,29 @@ def bus_lines(
     yield f"interface = {json.dumps(file.interface)}"
     yield f"channel = {json.dumps(file.channel)}"
     yield f"bitrate = {file.bitrate}" + (
-        f" # {FILL_IN}: as ip link shows it" if file.interface == "socketcan" else ""
+        f" # {FILL_IN}: copy it from ip link" if file.interface == "socketcan" else ""
     )
     yield (
-        f"sync_period_s = 0.002 # {FILL_IN}: the period that you want; robot-acquire check "
-        "shows the load of the bus"
+        f"sync_period_s = 0.002 # {FILL_IN}: choose the period; robot-acquire check shows the "
+        "bus load"
     )
     yield (
         f"other_nodes = {[node for node, readings in nodes.items() if not is_drive(readings)]} "
-        "# no drives"
+        "# nodes that are not drives"
     )
     free = max(set(range(1, 128)) - {*nodes, *heard}, default=None)
     if free != 127:
         yield (
-            f"master_node = {free} # of this program; no device has it"
+            f"master_node = {free} # node id of this program; no device uses it"
             if free
-            else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
+            else f"# master_node = ... # {FILL_IN}: node id of this program; all are in use"
         )
     for node, readings in nodes.items():
         yield from _drive_lines(node, readings) if is_drive(readings) else ()
 
 
 def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
-    yield f"\n[[bus.drive]] # {FILL_IN}: which joint? The order of the blocks is that of the motors"
+    yield f"\n[[bus.drive]] # {FILL_IN}: which joint? Put the blocks in the order of the motors"
     yield f"node = {node} # {', '.join(_words(readings, 0x1018, sub) for sub in range(1, 5))}"
     efforts = [
         key
@@ -166,7 +166,7 @@ def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
         yield f'# reference = "..." # {FILL_IN}: object of the current or torque reference'
     for key in sorted(efforts, key=lambda key: "actual" in EFFORT_OBJECTS[key][2])[:1]:
         kind, rule, meaning = EFFORT_OBJECTS[key]
-        certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: if it is "
+        certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: check that it is "
         # the standard says no type of a maker's object
         yield from [f'objects = {{ "{key[0]:04X}" = "{kind}" }}'] if certain else []
         yield (
@@ -179,10 +179,10 @@ def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
             yield (
                 f"{rated} = {raw / 1000:.10g}"
                 if raw
-                else f"# {rated} = ... # {FILL_IN}: the drive states none"
+                else f"# {rated} = ... # {FILL_IN}: the drive does not report it"
             )
     counts = position_units_per_turn({key: reading.value for key, reading in readings.items()})
-    comment = f"# {FILL_IN}: turn the motor once and compare, sign too; counts_per_m if it slides"
+    comment = f"# {FILL_IN}: turn the motor once to check value and sign; if linear, counts_per_m"
     yield (
         f"counts_per_turn = {counts:.12g} {comment}"
         if counts

@@ -67,14 +67,16 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     """
     Location(place).require(
         len(data) <= MAX_DICTIONARY_BYTES,
-        text=f"{len(data)} bytes",
-        expected=f"{MAX_DICTIONARY_BYTES} at most",
+        text=f"the file has {len(data)} bytes",
+        expected=f"at most {MAX_DICTIONARY_BYTES}",
     )
     # Texts in other encodings are only names: numbers are the same in all of them.
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     file = _File(data.decode(encoding, errors="replace"), place, node)
     entries = {key: file.entry(lines, *value) for key, lines, *value in file.contents()}
-    Location(place).require(entries, text="holds no objects", expected="an EDS or DCF")
+    Location(place).require(
+        entries, text="the file contains no objects", advice="Choose an EDS or DCF"
+    )
     about = file.sections.get("DEVICEINFO", {}) | {"datatype": "7"}
     vendor, product = (
         file.entry(about, "DEVICEINFO", key) for key in ("vendornumber", "productnumber")
@@ -84,7 +86,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         vendor=vendor.value or 0,
         product=product.value or 0,
         warnings=tuple(
-            f"{number.problem}: read as 0, which is not checked"
+            f"{number.problem}: it is read as 0, and not checked"
             for number in (vendor, product)
             if number.problem
         ),
@@ -115,9 +117,9 @@ class _File:
         try:
             self._parser.read_string(self._text)
         except (configparser.DuplicateOptionError, configparser.DuplicateSectionError) as error:
-            key = f"holds {error.option!r}" if hasattr(error, "option") else "is there"
+            key = f"contains {error.option!r}" if hasattr(error, "option") else "exists"
             Location(f"{place}: line {(error.lineno or 1) - 1}").refuse(
-                text=f"[{error.section}] {key} twice", expected="once; remove one"
+                text=f"[{error.section}] {key} twice", advice="Remove one"
             )
         self.sections = {name: dict(self._parser[name]) for name in self._parser.sections()}
 
@@ -167,6 +169,6 @@ class _File:
         found = key in lines and re.search(rf"(?ims)^\[{section}\].*?^({key})[ \t]*=", self._text)
         if not found:
             return ""
-        problem = f"= {lines[key]!r} is no number" if lines[key] else "is empty"
+        problem = f"= {lines[key]!r} is not a number" if lines[key] else "is empty"
         line = self._text.count("\n", 0, found.start(1))
         return f"{self._place}: line {line}: {found[1]} {problem}"

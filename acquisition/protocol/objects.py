@@ -147,7 +147,7 @@ EFFORT_OBJECTS = {
     (0x6074, 0): (
         "I16",
         "per mille of rated torque",
-        "torque demand, the reference of the current loop (CiA 402)",
+        "torque demand value, the reference of the current loop (CiA 402)",
     ),
     (0x6077, 0): ("I16", "per mille of rated torque", "torque actual value (CiA 402)"),
     (0x6078, 0): ("I16", "per mille of rated current", "current actual value (CiA 402)"),
@@ -285,9 +285,9 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
     raise BadInputError(
-        "not representable as the drives' interpolation period (60C2)",
+        "the interpolation period of the drives (60C2) cannot have this value",
         key="bus.sync_period_s",
         value=period_s,
         shown=f"{period_s:g}",
-        expected="up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
+        expected="1 to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
     )

@@ -90,7 +90,7 @@ def state_of(statusword: int) -> State:
     for state in State:
         if statusword & state.value[0] == state.value[1]:
             return state
-    raise BusFaultError(f"statusword 0x{statusword:04X}", expected="the bits of a CiA 402 state")
+    raise BusFaultError(f"statusword 0x{statusword:04X} is not a CiA 402 state")
 
 
 def command_of(controlword: int) -> Command | None:
@@ -264,7 +264,7 @@ def status_words(statusword: int) -> str:
     try:
         words = [state_of(statusword).words]
     except BusFaultError:
-        words = [f"statusword 0x{statusword:04X}, no state of CiA 402"]
+        words = [f"statusword 0x{statusword:04X}, which is not a CiA 402 state"]
     return ", ".join(
         [
             *words,

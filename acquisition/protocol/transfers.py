@@ -62,7 +62,7 @@ class Pdo:
         """Return values by (index, sub-index); raise `BadInputError` if the frame is too short."""
         if len(data) < self.length:
             Location(f"PDO 0x{self.can_id:03X}").refuse(
-                text=f"{len(data)} bytes", expected=str(self.length)
+                text=f"the frame has {len(data)} bytes", expected=f"at least {self.length}"
             )
         return dict(
             zip(
@@ -131,14 +131,15 @@ def pdos_of(
             if isinstance(word, str):
                 Location(place).refuse(
                     text=f"{direction} {number}: {at} {word}",
-                    expected=f"all {count} entries, or the PDOs in robot.toml (mapping = 'table')",
+                    advice=f"Provide all {count} entries, or describe the PDOs in robot.toml "
+                    "(mapping = 'table')",
                 )
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
             Location(place).require(
                 BITS.get(kind) == word & 0xFF,
-                text=f"{direction} {number}: {at} maps {key[0]:04X}:{key[1]} of {word & 0xFF} bits",
-                expected="whole bytes of its own type",
+                text=f"{direction} {number}: {at} maps {word & 0xFF} bits of {key[0]:04X}:{key[1]}",
+                expected="whole bytes, as many as the object has",
             )
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
@@ -277,7 +278,7 @@ def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
         )
     if answer.kind != wanted:
         raise NoAnswerError(
-            f"the drive answered {answer.kind}", node=node, place=place, expected=wanted
+            f"the drive answered {answer.kind!r} instead of {wanted!r}", node=node, place=place
         )
     return answer.number
 

@@ -23,7 +23,7 @@ MAX_FINISH_S = 600.0  # for decoding a long session
 MAX_HUNG_FINISH_S = 10.0  # if there was no status for `MAX_SILENT_S`
 MAX_SILENT_S = 5.0  # without a status; then the disk counts as hung
 
-_ENDED = "the recorder has ended: expected it to run until the session ends"
+_ENDED = "the recorder's process ended before the session"
 OnStatus = Callable[[Status, int], None]  # called with each status, and the time
 
 
@@ -166,7 +166,7 @@ class ProcessLog:
         self._hangs = silent_s > MAX_SILENT_S
         if self._hangs:
             raise BusFaultError(
-                f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s"
+                f"the recorder has sent no status for {silent_s:.1f} s, instead of every 0.5 s"
             )
         return status
 
@@ -202,7 +202,7 @@ class ProcessLog:
         for kind, content in self._messages(until_s=time.monotonic() + timeout_s):
             if kind == wanted:
                 return content
-        raise BusFaultError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
+        raise BusFaultError(f"the recorder did not report {wanted!r} within {timeout_s:g} s")
 
     def _messages(self, until_s: float) -> Iterator[tuple[str, Any]]:
         """Yield what the process sends, by kind, until a monotonic time."""

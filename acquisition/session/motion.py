@@ -69,9 +69,8 @@ def enable(
             command = toward(state, State.OPERATION_ENABLED)
             if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
                 raise BusFaultError(
-                    "went into fault after the session began",
+                    "the drive went into fault after the session began",
                     place=f"node {watch.drive.node} ({watch.drive.name})",
-                    expected="switch on disabled, as before",
                 )
             if state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
@@ -84,7 +83,7 @@ def enable(
         for w in master.nodes
         if w.state is not State.OPERATION_ENABLED
     )
-    raise BusFaultError(f"not enabled after {ENABLE_S:g} s: {late}", expected="operation enabled")
+    raise BusFaultError(f"not all drives are enabled after {ENABLE_S:g} s: {late}")
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
@@ -102,7 +101,7 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
             (_DOWN.get(state, Command.DISABLE_VOLTAGE).controlword, target)
             for state, target in zip(states, targets, strict=True)
         ]
-    raise BusFaultError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
+    raise BusFaultError(f"not all drives are disabled after {ENABLE_S:g} s")
 
 
 SILENT_SYNCS = 3  # in a row without an answer of a drive are a fault
@@ -113,7 +112,7 @@ CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0 are a fault
 # Bits of the statusword that are 1 in operation. Some drives never set them: a bit is
 # checked once it was 1.
 _OPERATING = {
-    REMOTE: "does not take commands from the bus (statusword bit 9, remote, is 0)",
+    REMOTE: "does not accept commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
 }
 
@@ -144,23 +143,31 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
     for watch in master.nodes:
         node = f"node {watch.drive.node} ({watch.drive.name})"
         if watch.emergency is not None:
-            return BusFaultError(f"emergency {error_words(watch.emergency)}", place=node)
+            return BusFaultError(
+                f"the drive reports emergency {error_words(watch.emergency)}", place=node
+            )
         if watch.booted:
-            return BusFaultError("has restarted", place=node)
+            return BusFaultError("the drive has restarted", place=node)
         if watch.started and watch.nmt != OPERATIONAL:
-            return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
+            return BusFaultError(
+                f"the drive has left operational (NMT state {watch.nmt})", place=node
+            )
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
             return BusFaultError(
-                f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})",
+                f"the drive is not operational {watch.unstarted} heartbeats after START (NMT state "
+                f"{watch.nmt})",
                 place=node,
             )
         if watch.beats and watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
             return BusFaultError(
-                f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node
+                f"the drive has sent no heartbeat for {(now_ns - watch.heard_ns) * 1e-9:.2f} s",
+                place=node,
             )
         if watch.silent_syncs >= SILENT_SYNCS:
-            return BusFaultError(f"{watch.silent_syncs} SYNC not answered", place=node)
+            return BusFaultError(
+                f"the drive has not answered {watch.silent_syncs} SYNCs in a row", place=node
+            )
     return None
 
 
@@ -174,9 +181,9 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
         if watch.state is not State.OPERATION_ENABLED or word is None:
             if not motion.enabling or node in motion.enabled:
                 return BusFaultError(
-                    f"{'unknown' if word is None else status_words(word)} in motion",
+                    "the drive has left operation enabled in motion: "
+                    f"{'unknown state' if word is None else status_words(word)}",
                     place=name,
-                    expected="operation enabled",
                 )
             continue
         motion.enabled.add(node)
@@ -189,7 +196,7 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
             )
             motion.clear_syncs[node, bit] = clear
             if clear >= CLEAR_SYNCS:
-                return BusFaultError(f"{text} for {clear} SYNC", place=name)
+                return BusFaultError(f"the drive {text} for {clear} SYNC periods", place=name)
     return None
 
 
@@ -220,7 +227,7 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultEr
         ):
             if value is not None and abs(value) > margin * largest:
                 return _limit_fault(
-                    joint, key, value, f"{joint.position_unit}{per}", f"{largest:.4g} at most"
+                    joint, key, value, f"{joint.position_unit}{per}", f"at most {largest:.4g}"
                 )
     return None
 

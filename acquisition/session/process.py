@@ -112,17 +112,17 @@ class Watchdog:
         while True:
             ready, _, _ = select.select([self._connection], [], [], longest_s if armed else None)
             if not ready:
-                return f"no sign of life from the session for {longest_s:g} s"
+                return f"the session has sent no heartbeat for {longest_s:g} s"
             try:
                 signs = os.read(self._connection.fileno(), 65536)
             except OSError:
                 signs = b""
             if not signs:
-                return "the session's process is gone" if armed else None
+                return "the session's process has ended" if armed else None
             armed = signs.endswith(ALIVE)
 
     def _stop_drives(self, reason: str) -> None:
-        self.reason = f"{reason}: the recorder's process stopped the drives"
+        self.reason = f"{reason}: the watchdog stopped the drives"
         # before the first frame: the session must not attribute it to another master
         with suppress(OSError):
             os.write(self._connection.fileno(), self.reason.encode())
@@ -131,14 +131,14 @@ class Watchdog:
         try:
             unconfirmed = stop_drives(self._bus)
         except Exception as error:  # whatever it is: the drives that may be enabled are named
-            self._event("fault", f"the recorder's process could not stop the drives: {error}")
+            self._event("fault", f"the watchdog could not stop the drives: {error}")
         if unconfirmed:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
                 sys.stderr.flush()
             self._event("not disabled", not_disabled(unconfirmed))
         else:
-            self._event("disabled", "every drive confirmed to the recorder's process")
+            self._event("disabled", "every drive confirmed to the watchdog")
 
     def _event(self, kind: str, text: str) -> None:
         self.events.append((time.time_ns(), kind, text))
@@ -201,7 +201,7 @@ def run(
                     "failed",
                     str(error)
                     if isinstance(error, RobotIdimError)
-                    else f"{path}: cannot be written: {error.strerror}",
+                    else f"{path}: the recording cannot be written: {error.strerror}",
                 )
             )
     finally:
@@ -258,7 +258,7 @@ def _record(
                         stop_ns = asked_ns
         except (EOFError, OSError):
             if not gone:
-                recorder.event(clock.now_ns(), "fault", "the session's process is gone")
+                recorder.event(clock.now_ns(), "fault", "the session's process has ended")
             gone = True
             if watchdog is None or not watchdog.waiting:
                 stop_ns = clock.now_ns()
@@ -281,8 +281,8 @@ def _record(
             block["flags"][np.isin(block["can_id"], ours)] |= SENT
             recorder.add(block)
             if receiver.error is not None:
-                recorder.event(clock.now_ns(), "fault", f"bus: cannot be read: {receiver.error}")
-                raise BusFaultError(f"cannot be read: {receiver.error}", place="bus")
+                recorder.event(clock.now_ns(), "fault", f"bus: reading failed: {receiver.error}")
+                raise BusFaultError(f"reading failed: {receiver.error}", place="bus")
         status = recorder.tick(
             clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0
         )
@@ -298,5 +298,5 @@ def _note_step(recorder: Recorder, clock: WallClock) -> None:
     """
     if step_ns := clock.step_ns():
         recorder.event(
-            clock.now_ns(), "mark", f"{describe_step(step_ns)}: times go on as if it had not been"
+            clock.now_ns(), "mark", f"{describe_step(step_ns)}; recorded times ignore this step"
         )

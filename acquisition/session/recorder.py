@@ -60,8 +60,8 @@ def refuse_taken(path: Path) -> None:
     taken = path.exists()
     Location(str(path)).require(
         not taken and os.access(f"{path.absolute().parent}/", os.W_OK),
-        text="already exists" if taken else "cannot be written",
-        expected="a new name in a folder that is there; recordings are not replaced",
+        text="the file already exists" if taken else "the folder does not exist or is read-only",
+        advice="Choose a new name in an existing folder; a recording is never replaced",
     )
 
 
@@ -100,7 +100,7 @@ class Recorder:
             self._writer = recording.RecordingWriter(path, header)
         except OSError as error:
             raise BadInputError(
-                f"cannot be written: {error.strerror or error}", place=str(path)
+                f"the recording cannot be written: {error.strerror or error}", place=str(path)
             ) from error
         self.channel = (
             "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
@@ -182,7 +182,7 @@ class Recorder:
         frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
-            text = f"frames left out: {self._fd_frames} of CAN FD"
+            text = f"frames not recorded: {self._fd_frames} of CAN FD"
             self._writer.event(stamp_ns, "warning", text)
             found = replace(found, warnings=(*found.warnings, text))
         self.close()
@@ -196,10 +196,10 @@ class Recorder:
             names = (self._path.with_stem(f"{self._path.stem}-{k}") for k in count(2))
             new = next(name for name in names if not name.exists())
             self._writer.move_to(new)
-            self._ends = f"{self._path.name} was deleted: it is now {new}"
+            self._ends = f"{self._path.name} was deleted; the recording is now in {new}"
             self._path = new
         elif shutil.disk_usage(self._writer.fileno()).free < MIN_FREE_BYTES:
-            self._ends = self._ends or "disk nearly full"
+            self._ends = self._ends or "the disk is nearly full"
 
     def close(self) -> None:
         """Close the file as it is; one without frames and notes of the operator is removed."""

@@ -110,20 +110,23 @@ def record(
         robot.bus,
         "bus",
         None,
-        "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`",
+        text="a session, and a dry run too, needs the drives",
+        advice="Remove `#: ` in robot.toml, or add them: `robot-identify init --bus BUS.toml`",
     )
     if options.passive and (options.track is not None or options.dry_run):
         raise RefusedError(
-            "sends nothing",
+            "a passive session never sends",
             what="sending",
-            place="--passive",
-            expected="no --track and no --dry-run",
+            key="passive",
+            advice="Remove it, or the other options",
+            arguments=("track", "dry_run"),
         )
     Location(place).require(
         options.passive or not file.mapped_by_traffic,
         "mapping",
         "traffic",
-        "'table' or 'dictionary' in an active session",
+        "'table' or 'dictionary'",
+        text="an active session cannot use it",
     )
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, file.sync_period_s, options, operator)
@@ -171,20 +174,24 @@ def _task_of(
     ------
     RobotIdimError : options contradict each other.
     """
-    Location("--track").require(
+    COMMAND_LINE.require(
         options.track is None or options.duration_s is None,
-        text="lasts as long as its reference",
-        expected="no --duration",
+        "duration_s",
+        options.duration_s,
+        text="a session with a reference lasts as long as the reference",
+        advice="Remove it, or the reference",
+        arguments=("track",),
     )
     COMMAND_LINE.require(
         options.track is not None or options.speed == 1.0,
-        "--speed",
+        "speed",
         options.speed,
-        "--track with it",
-        text="applies to a reference only",
+        text="the factor applies only to a reference",
+        advice="Remove it, or pass a reference",
+        arguments=("track",),
     )
     COMMAND_LINE.require(
-        0 < options.speed <= 1, "--speed", options.speed, "more than 0, and 1 at most"
+        0 < options.speed <= 1, "speed", options.speed, "greater than 0 and at most 1"
     )
     if options.track is None:
         return Task(duration_s=options.duration_s, notes=operator.notes)
@@ -195,7 +202,11 @@ def _task_of(
         return task
     lines = lines_to_fill_in(robot)
     Location("robot.toml").require(
-        not lines, "lines", lines, "none in [bus], [[motor]] and limits of joints", text=FILL_IN
+        not lines,
+        "lines",
+        lines,
+        text=f"these lines of [bus], [[motor]] and joint limits are marked {FILL_IN}",
+        advice="Complete them before motion",
     )
     return replace(
         task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm)
@@ -256,11 +267,11 @@ def _before_motion(
     jitter = refuse_jitter(master)
     return [
         f"confirmed: {', '.join(confirmed)}",
-        f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before "
+        f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, largest {jitter.worst_s * 1e3:.3f} ms, before "
         "motion",
         *([f"{options.track} at {options.speed:g} of its speed"] if options.speed != 1 else []),
         *(
-            [f"second stop: {second_stop(master.bus.file)}"]
+            [f"watchdog: {second_stop(master.bus.file)}"]
             if master.bus.file.interface not in SHARED
             else []
         ),
@@ -358,14 +369,15 @@ def replay(
     RobotIdimError : `speed` or the interface is refused, the recording holds no frames of drives,
         another node sends before or between these frames, or the bus accepts none.
     """
-    COMMAND_LINE.require(speed > 0, "--speed", speed, "more than 0")
+    COMMAND_LINE.require(speed > 0, "speed", speed, "greater than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
         raise RefusedError(
-            "hardware may be on this bus",
+            "hardware may be connected to this bus",
             what="sending",
-            key="--interface",
+            key="interface",
             value=file.interface,
-            expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
+            advice=f"Use {' or '.join(WITHOUT_HARDWARE)}, or allow this bus",
+            arguments=("onto_bus",),
         )
     frames, described = from_drives(read_recording(path), str(path))
     due_s = np.maximum.accumulate((frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed)
@@ -378,11 +390,11 @@ def replay(
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
                 raise RefusedError(
-                    f"{service_of(frame, described.sync_can_id)} received",
+                    f"the bus is not idle ({service_of(frame, described.sync_can_id)} received); "
+                    f"{f'{count} frames were' if count else 'nothing was'} sent",
                     what="sending",
                     place=f"{file.interface} {file.channel}",
-                    expected="an idle bus; "
-                    f"{f'{count} frames were' if count else 'nothing was'} sent",
+                    advice="Disconnect the other nodes",
                 )
             if left_s <= 0:
                 return
@@ -411,7 +423,11 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
     BadInputError : no frame is left.
     """
     at = Location(place)
-    at.require(recording.frames, text="holds no CAN frames", expected="a recording of drives")
+    at.require(
+        recording.frames,
+        text="the recording contains no CAN frames",
+        advice="Choose a recording of drives",
+    )
     frames = max(recording.frames.values(), key=len)
     _, bus = resolve_mapped(frames, recording.robot, f"{place}: robot.toml")
     ids = [
@@ -421,7 +437,5 @@ def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
     ]
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
-    at.require(
-        len(found), text="holds no frame of its drives, and no SYNC", expected="some to send"
-    )
+    at.require(len(found), text="the recording contains neither frames of its drives nor SYNC")
     return found, bus.file

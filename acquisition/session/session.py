@@ -155,7 +155,7 @@ def run_active(
                 announce(outcome)
         if held.problem:
             with held:
-                session.note("warning", f"held back while the drives were stopped: {held.problem}")
+                session.note("warning", f"an error while the drives were stopped: {held.problem}")
         held.raise_interrupt()
     return outcome
 
@@ -192,7 +192,7 @@ class _Session:
             raise refusal
         # Only reads: a drive that another program has enabled stays as it is.
         self._in_fault = bus.refuse_enabled(self._master)
-        self.note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
+        self.note("mark", *(f"node {node}: in fault before the session" for node in self._in_fault))
         if track:
             self.note("mark", *self._task.before_motion(self._master))
             # takes the frames received while the operator was asked
@@ -283,7 +283,7 @@ class _Session:
                     self._master, self._robot, motion
                 )
             if error is None and self._stop.at_once:
-                error = BusFaultError(f"{self._stop.reason}, then again: quick stop")
+                error = BusFaultError(f"{self._stop.reason}, and again: quick stop")
             for watch in self._master.nodes:
                 for text in notices(watch.statusword or 0):
                     self._note_once("mark", f"node {watch.drive.node} ({watch.drive.name}): {text}")
@@ -301,7 +301,9 @@ class _Session:
         signs, self._master.signs = self._master.signs, {}
         for sign, commands in signs.items():
             error = BusFaultError(
-                f"{sign}: another master is active", place="bus", expected="none in motion"
+                f"another master is active ({sign})",
+                place="bus",
+                advice="Stop it before a motion",
             )
             if in_motion and commands:
                 return error

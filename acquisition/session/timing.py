@@ -66,9 +66,9 @@ class Pace:
             patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 raise BusFaultError(
-                    f"no SYNC in {patience_ns / self._period_ns:.3g} periods",
+                    f"no SYNC was received in {patience_ns / self._period_ns:.3g} periods",
                     place="bus",
-                    expected="the other producer's; or sync_producer = 'recorder'",
+                    advice="Start the other SYNC producer, or set sync_producer = 'recorder'",
                 )
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
@@ -81,10 +81,8 @@ class Pace:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
             raise BusFaultError(
-                f"SYNC {late_ns * 1e-9:.3g} s late in motion",
-                expected=(
-                    f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
-                ),
+                f"SYNC was {late_ns * 1e-9:.3g} s late in motion, more than "
+                f"{self._latest_ns * 1e-9:.3g} s: this computer was busy or stopped"
             )
 
 
@@ -174,9 +172,9 @@ def sync_jitter(master: Master) -> Jitter:
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
                 raise BusFaultError(
-                    f"no SYNC in {MAX_ABSENT_PERIODS} periods",
+                    f"no SYNC was received in {MAX_ABSENT_PERIODS} periods",
                     place="bus",
-                    expected="the other producer's",
+                    advice="Start the other SYNC producer",
                 )
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
@@ -198,13 +196,13 @@ def refuse_jitter(master: Master) -> Jitter:
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise RefusedError(
-            f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            f"{DEVIATIONS} standard deviations exceed {found.largest_s * 1e3:g} ms, the largest "
+            "delay in motion",
             what="motion",
             place="bus",
             key="SYNC jitter sd",
             value=found.sd_s,
             shown=f"{found.sd_s * 1e3:.3f} ms",
-            expected="less; end other programs, or permit SCHED_FIFO "
-            "(acquisition/docs/recording.md)",
+            advice="End other programs, or permit SCHED_FIFO (acquisition/docs/recording.md)",
         )
     return found

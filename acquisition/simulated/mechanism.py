@@ -123,9 +123,7 @@ class TablePlant:
     """A plant that replays joint samples, one row per period; the drives' loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
-        Location("").require(
-            len(samples), text="the table to replay holds no samples", expected="some"
-        )
+        Location("").require(len(samples), text="the table to replay contains no samples")
         self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
 
     @property
@@ -244,12 +242,14 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
     plants = list(entry_points(group=GROUP))
     if not plants:
         return _independent_joints(
-            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
+            robot, bus, f"no installed package provides the dynamics (entry point {GROUP})"
         )
     try:
         plant_of: Callable[[Robot, Payload | None], tuple[Plant, LoopGains]] = plants[0].load()
     except (ImportError, AttributeError) as error:
-        Location(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
+        Location(f"entry point {GROUP} {plants[0].value}").refuse(
+            text=f"it cannot be loaded: {error}"
+        )
     plant, loops = plant_of(robot, payload)
     return DrivenPlant(plant=plant, loops=loops)
 
@@ -260,8 +260,8 @@ def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
         plant=typical_plant(robot, rated),
         loops=cascaded_loops(robot, typical_inertia(robot, rated)),
         warning=(
-            "simulated as independent joints with a gravity-like load, not as the described "
-            f"robot: {why}"
+            "simulated as independent joints with a gravity-like load, not as the robot of "
+            f"robot.toml: {why}"
         ),
     )
 

@@ -47,7 +47,7 @@ def test_closed_output_pipe_loses_nothing(program, command, files, tmp_path, mon
 
 
 needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-NO_SPACE = "robot-identify: standard output: cannot be written: No space left on device\n"
+NO_SPACE = "robot-identify: standard output cannot be written: No space left on device\n"
 WITHOUT_STREAMS = """from acquisition.commands import run_command
 def command():
     with open("number", "w") as file:
@@ -65,7 +65,12 @@ raise SystemExit(run_command("p", command))
         ("ACQ info none.mcap 2>&-", 1, "", []),
         pytest.param("ACQ info none.mcap 2>/dev/full", 1, "", [], marks=needs_full),
         ("PYTHON without_streams.py >&- 2>&- <&-", 0, "", ["number"]),
-        ("ACQ check nowhere.toml | true", 1, "bus: udp_multicast nowhere: cannot be opened", []),
+        (
+            "ACQ check nowhere.toml | true",
+            1,
+            "bus: udp_multicast nowhere: the bus cannot be opened",
+            [],
+        ),
         # no drive answers: no go, however little of it is read
         ("ACQ check nobody.toml | true", 1, "", []),
     ],
@@ -278,20 +283,25 @@ def test_progress_on_terminal_only(capfd, monkeypatch):
         (
             acquire,
             "decode a.mcap -o b.mcap",
-            "error: decode is gone: use import LOG.mcap -o OUT.mcap",
+            "error: decode no longer exists: use import LOG.mcap -o OUT.mcap",
         ),
         (
             acquire,
             "mark a.mcap bumped",
-            "error: mark is gone: press the key m in robot-acquire record, or pipe a line into it",
+            "error: mark no longer exists: press the key m in robot-acquire record, or pipe a "
+            "line into it",
         ),
         (
             identify,
             "fit a --cluster=tcp://host:1",
-            "error: --cluster is gone: use --workers tcp://HOST:8786",
+            "error: --cluster no longer exists: use --workers tcp://HOST:8786",
         ),
-        (identify, "sensitivity a.mcap", "error: sensitivity is gone: use study LOG.mcap"),
-        (identify, "study a --rrd s.rrd", "error: study --rrd is gone: use --report FILE.html"),
+        (identify, "sensitivity a.mcap", "error: sensitivity no longer exists: use study LOG.mcap"),
+        (
+            identify,
+            "study a --rrd s.rrd",
+            "error: study --rrd no longer exists: use --report FILE.html",
+        ),
     ],
 )
 def test_typing_error_gets_suggestion(program, command, line, capsys):
@@ -355,7 +365,7 @@ def test_shell_completion(capsys, monkeypatch):
             identify,
             2,
             [
-                "robot-identify: error: --print-completion needs shtab: pip install "
+                "robot-identify: error: --print-completion needs shtab. Run: pip install "
                 "'robot-idim[completion]'\n"
             ],
         ),
@@ -402,6 +412,7 @@ def test_urdf_as_robot_toml_is_reported(tmp_path, monkeypatch, capsys):
 def test_emulate_refuses_virtual_bus(capsys):
     assert acquire(["emulate", str(SCARA), "--duration", "0.1"]) == 1
     assert capsys.readouterr().err.startswith(
-        f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot join it: "
+        f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot use this "
+        "bus: "
         "expected udp_multicast or "
     )

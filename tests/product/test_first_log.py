@@ -53,7 +53,7 @@ def test_ur5_rtde_log(tmp_path, monkeypatch, capsys):
     assert identify(["init", "ur5.urdf", *options.split()]) == 0
     assert acquire(["import", "ur5.csv", "--robot", "robot.toml"]) == 0
     out, err = capsys.readouterr()
-    assert "ur5.map.toml: proposed; complete\n" in out
+    assert "ur5.map.toml: proposed; nothing is missing\n" in out
     assert (
         "ur5.mcap: six, 2001 samples at 250 Hz, effort in N m, with reference, with velocity\n"
         in out
@@ -110,7 +110,7 @@ def test_incomplete_map_is_named(tmp_path, monkeypatch, capsys):
         if "FILL IN" in line and k > 1
     ]
     assert capsys.readouterr().out.splitlines() == [
-        f"x.map.toml: proposed; to be filled in: lines {lines}",
+        f"x.map.toml: proposed; complete its lines {lines}",
         "next: robot-acquire import x.csv --robot robot.toml -o log.mcap",
     ]
     assert not Path("log.mcap").exists()
@@ -136,7 +136,7 @@ def test_without_robot_map_and_init_are_proposed(tmp_path, monkeypatch, capsys):
     small_table(tmp_path, "time,state.q[0],state.q[1],state.tau_J[0],state.tau_J[1]")
     assert acquire(["import", "x.csv"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "x.map.toml: proposed; complete",
+        "x.map.toml: proposed; nothing is missing",
         'without a robot.toml: robot-identify init ARM.urdf --effort "N m" --torque-sensor -o '
         "robot.toml",
         "next: robot-acquire import x.csv --robot robot.toml -o x.mcap",
@@ -146,6 +146,6 @@ def test_without_robot_map_and_init_are_proposed(tmp_path, monkeypatch, capsys):
     assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
     out = capsys.readouterr().out
     assert (
-        "note: joint torque sensors do not see the rotors: state rotor_inertia = false in " in out
+        "note: joint torque sensors do not measure the rotors: set rotor_inertia = false in " in out
     )
     assert "x.mcap: two, 400 samples at 100 Hz" in out

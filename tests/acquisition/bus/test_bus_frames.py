@@ -200,7 +200,7 @@ def test_can_fd_is_counted_not_recorded(tmp_path, fd):
     recorder = Recorder(tmp_path / "a.mcap", robot, source="test", place="robot.toml")
     recorder.add(block_of([Frame(k, 0x185, bytes(8), CAN_FD if k < fd else 0) for k in range(5)]))
     found = recorder.finish(10)
-    recording, text = read_recording(tmp_path / "a.mcap"), f"frames left out: {fd} of CAN FD"
+    recording, text = read_recording(tmp_path / "a.mcap"), f"frames not recorded: {fd} of CAN FD"
     assert found.frames == len(recording.frames["test"]) == 5 - fd
     assert not recording.frames["test"]["flags"].any()
     assert found.warnings == ((text,) if fd else ())
@@ -240,7 +240,7 @@ def test_link_errors_are_reported_not_recorded():
     link = Link(fake, tap=tapped.append)
     with pytest.raises(BusFaultError, match="bus: frame 0x605 cannot be sent: buffer full"):
         link.send(0x605, b"")
-    with pytest.raises(BusFaultError, match="bus: cannot be read: gone"):
+    with pytest.raises(BusFaultError, match="bus: reading failed: gone"):
         link.take(0)
     assert tapped == []
 
@@ -256,7 +256,7 @@ def test_invalid_datagram_is_ignored_on_multicast():
     broken.__cause__ = OSError(19, "No such device")
     assert Link(group(datagram, message())).take(0.1).can_id == 0x185
     for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
-        with pytest.raises(BusFaultError, match=f"bus: cannot be read: {why}"):
+        with pytest.raises(BusFaultError, match=f"bus: reading failed: {why}"):
             Link(fake).take(0.01)
     noisy = group()
     noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again

@@ -124,9 +124,11 @@ HEAD = (
     "3: can0: <NOARP,UP,LOWER_UP> mtu 16 qdisc pfifo_fast state UP\n    link/can  promiscuity "
     "0  allmulti 0\n"
 )
-ALONE = "listens only: a drive that is alone on the bus gets no acknowledge"
-TAKES_PART = "acknowledges all frames, and destroys them at a wrong bit rate; "
-WAY_OUT = TAKES_PART + "to prevent it: ip link set can0 type can bitrate 500000 listen-only on"
+ALONE = "only listens: a drive that is alone on the bus gets no acknowledgement"
+TAKES_PART = "acknowledges all frames, and destroys frames if its bit rate is wrong; "
+WAY_OUT = (
+    f"{TAKES_PART}to prevent this, run while it is down: ip link set can0 type can bitrate 500000"
+)
 NO_WAY = TAKES_PART + "python-can has no listen-only"
 
 

@@ -109,7 +109,7 @@ def test_lost_heartbeat_reaction_follows_6007(monkeypatch, option, state):
 
 def test_unmonitored_drive_stays_enabled():
     run, master, heartbeat = enabled(abort_connection=0, supervised=False)
-    assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [
+    assert ["does not exist" in text for text in heartbeat.request()] == [
         True,
         True,
     ]
@@ -159,7 +159,7 @@ def test_foreign_heartbeat_consumers_are_kept(tmp_path, monkeypatch):
     assert (full.values[0x1016, 1], full.values[0x1016, 2]) == (other, other + 0x10000)
     assert (left.values[0x1016, 1], left.values[0x1016, 2]) == (other, 0)
     (warning,) = [text for text in session.events("warning") if "1016" in text]
-    assert warning.startswith("node 1: object 1016: no free sub-index")
+    assert warning.startswith("node 1: object 1016: no sub-index is free")
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,11 @@ def test_timeout_is_three_heartbeats_or_periods():
 
 
 refuse_slow = partial(read_needs, track=True)
-RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
+RAMPS = dict(
+    enumerate(
+        ("slow-down deceleration", "quick stop deceleration", "current limit", "voltage limit"), 1
+    )
+)
 HELD = {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in RAMPS.items()}
 OFF = {0: "voltage off at once, the motor coasts", -1: "manufacturer-specific"}
 OFF |= {k: f"{ramp}, then off" for k, ramp in RAMPS.items()}
@@ -197,15 +201,16 @@ OFF |= {k: f"{ramp}, then off" for k, ramp in RAMPS.items()}
         ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
         ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node "
                                           "127, 300 ms) to sub-index 2"),
-        ({(0x1016, 0): 0}, (), "1016 = none in use: no free sub-index: the drive does not detect "
-                               "the loss of the " "master"),
-        ({}, (0x1016,), "1016 = not there: the drive does not detect the loss of the master"),
+        ({(0x1016, 0): 0}, (), "1016 = none in use; no sub-index is free, so the drive does not "
+                               "detect the loss of the master"),
+        ({}, (0x1016,),
+         "1016 = does not exist, so the drive does not detect the loss of the master"),
         ({(0x1029, 1): 0}, (), "1029:1 = 0: pre-operational"),
         ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
-        ({}, (0x605E,), "fault reaction 605E = not there"),
+        ({}, (0x605E,), "fault reaction 605E = does not exist"),
         ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
-        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error above 900 of the drive's "
-                                                  "position units, after 20 ms"),
+        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error of more than 900 position "
+                                                  "units of the drive, after 20 ms"),
     ],
 )  # fmt: skip
 def test_monitoring_words(values, missing, expected):
@@ -228,13 +233,15 @@ OFF_6065 = {0x6065: 2**32 - 1}
     [
         (refuse_slow, {0x605A: 2, 0x6085: HALF}, bus_text(2), ()),
         (refuse_slow, {0x605A: 2, 0x6085: HALF - 1}, bus_text(2),
-         ("quick stop ramp: 2000 deg/s², 0.1 s from", "expected 2000 at least")),
+         ("quick stop deceleration: 2000 deg/s², 0.1 s from", "expected at least 2000")),
         (refuse_slow, {0x605A: 2, 0x6085: 1}, UNLIMITED, ()),
         (refuse_slow, {0x605A: 3}, bus_text(2), ()),  # unknown
         (refuse_unsupervised, {}, bus_text(2), ()),
-        (refuse_unsupervised, OFF_6065, bus_text(2), ("none of the following error (6065",)),
+        (refuse_unsupervised, OFF_6065, bus_text(2),
+         ("the following error is not monitored (6065",)),
         (refuse_unsupervised, OFF_6065 | {0x1016: 0, 0x6007: 0}, bus_text(2),
-         ("none of the master (no free 1016", "none of the following error (6065")),
+         ("a lost master has no effect (1016 has no free entry",
+          "the following error is not monitored (6065")),
     ],
 )  # fmt: skip
 def test_motion_needs_fast_stop_and_monitoring(refuse, values, text, words):
@@ -251,7 +258,7 @@ def test_check_shows_monitoring_and_watchdog():
     assert reaction.found.startswith("1: fault")
     assert second_stop(master.bus.file).startswith("the recorder's process stops the drives")
     assert second_stop(msgspec.structs.replace(master.bus.file, interface="slcan")).startswith(
-        "none: slcan opens once only"
+        "none, because slcan can be opened only once"
     )
 
 

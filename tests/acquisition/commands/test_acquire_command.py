@@ -115,11 +115,14 @@ def test_known_errors_are_one_line_without_files(folder, capsys, monkeypatch):
             "a folder or a device cannot be replaced",
         ),
         (["info", "a\nb.mcap"], "a b.mcap: the file cannot be read"),
-        (["import", "a.mcap", "a.mcap", "-o", "out"], "a second recording: expected one"),
-        (["import", "a.mcap", "-o", "out", "--payload", "2"], "--payload = '2': expected none"),
+        (
+            ["import", "a.mcap", "a.mcap", "-o", "out"],
+            "a.mcap: only one recording can be imported at a time",
+        ),
+        (["import", "a.mcap", "-o", "out", "--payload", "2"], "--payload = '2': a recording keeps"),
         (
             ["import", "a.csv", "--map", "map.toml", "-o", "out"],
-            "--robot is missing: expected the robot's",
+            "--robot is missing: only recordings contain",
         ),
         (
             ["import", "bad.csv", *of_robot, "-o", "old.mcap", "--overwrite"],
@@ -131,11 +134,11 @@ def test_known_errors_are_one_line_without_files(folder, capsys, monkeypatch):
         ),
         (
             ["record", "robot.toml", "-o", "out", "--passive", "--dry-run"],
-            "--passive: sends nothing",
+            "--passive: a passive session never sends",
         ),
         (
             ["record", "robot.toml", "-o", "out", "--duration", "0"],
-            "--duration = 0.0: expected more than 0",
+            "--duration = 0.0: expected a finite number greater than 0",
         ),
         (["record", str(REPLAY / "emps" / "robot.toml"), "-o", "out"], "bus is missing"),
         (
@@ -144,13 +147,16 @@ def test_known_errors_are_one_line_without_files(folder, capsys, monkeypatch):
         ),
         (
             ["emulate", "old.mcap", "--channel", "x"],
-            "--interface is missing: expected the bus to send",
+            "--interface is missing: the frames need a bus",
         ),
         (
             ["emulate", "old.mcap", "--duration", "1"],
-            "--duration: is only for a robot.toml: expected",
+            "--duration: this option is only for a robot.toml. Remove it",
         ),
-        (["emulate", "robot.toml", "--onto-bus"], "--onto-bus: is only for a recording: expected"),
+        (
+            ["emulate", "robot.toml", "--onto-bus"],
+            "--onto-bus: this option is only for a recording. Remove it",
+        ),
     ):
         assert told in refused(capsys, command)
     assert sorted(folder.iterdir()) == before
@@ -196,7 +202,7 @@ def test_full_disk_is_one_line_without_files(folder):
     )
     assert (result.returncode, result.stdout) == (1, "")
     assert result.stderr.count("\n") == 1
-    assert "log.mcap: cannot be written: File too large" in result.stderr
+    assert "log.mcap: the file cannot be written: File too large" in result.stderr
     assert sorted(folder.iterdir()) == before
 
 

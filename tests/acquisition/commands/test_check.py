@@ -125,7 +125,7 @@ def test_drives_with_sdo_quirks_are_recorded(tmp_path, capsys, monkeypatch):
     assert re.search(f"^motion: no go: {refused}", out, re.MULTILINE)
     assert outcome.reason == "finished"
     why = "heartbeat 1017: 1017:0: object does not exist (0x06020000)"
-    warned = [f"node {k} (motor_{k}): {why}: its heartbeat is not supervised" for k in (1, 2)]
+    warned = [f"node {k} (motor_{k}): {why}: its heartbeat is not monitored" for k in (1, 2)]
     recording = read_recording(tmp_path / "log.mcap")
     assert [
         event.text

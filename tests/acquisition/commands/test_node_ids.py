@@ -85,7 +85,5 @@ def test_late_answer_is_no_second_device():
     assert run.drives.asked > 20
     nodes = scan_nodes(Uploads(connected(kind=Slow)[0], bus_file()), OBJECTS, ARRAYS)
     assert sorted(nodes) == [1, 2]
-    with pytest.raises(
-        RefusedError, match="two devices answer as node 2: expected one device for each node id"
-    ):
+    with pytest.raises(RefusedError, match="two devices answer as node 2"):
         scan_nodes(Uploads(connected(kind=Twice)[0], bus_file()), OBJECTS, ARRAYS)

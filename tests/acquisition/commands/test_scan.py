@@ -55,9 +55,9 @@ def test_scan_of_six_drives_only_reads(tmp_path, capsys):
     assert device_type[:127] == list(range(0x601, 0x680))
     lines = capsys.readouterr().out.splitlines()
     assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
-    assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
+    assert lines[-1] == f"{out}: complete the 13 lines marked FILL IN"
     assert (
-        out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare")
+        out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once to check")
         == 6
     )
 
@@ -93,7 +93,7 @@ def test_only_reads_can_be_sent(can_id, frame):
         # a read, but to an identifier of another service
         frame = frame or b"\x40\x41\x60\x00" + bytes(4)
     link = Answering()
-    with pytest.raises(RefusedError, match="is no SDO read"):
+    with pytest.raises(RefusedError, match="is not an SDO read"):
         Uploads(link, bus_file()).send(can_id, frame)
     assert link.sent == []
 
@@ -119,15 +119,20 @@ class Sudden(Through):
         return frame
 
 
-BEGUN = "expected none during a scan; {} SDO reads were sent"
-WRONG = "error frame: no acknowledgement.*bitrate"
+BEGUN = "; {} SDO reads were sent. Scan only a bus"
+WRONG = "the bus has errors .no acknowledgement.*bit rate"
 
 
 @pytest.mark.parametrize(
     ("frame", "after", "told", "for_good"),
     [
         *(
-            (Frame(0, *master), 0, "during a scan; nothing was sent", "another master is active")
+            (
+                Frame(0, *master),
+                0,
+                "; nothing was sent. Scan only a bus",
+                "another master is active",
+            )
             for master in ((0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6)))
         ),
         *(
@@ -201,9 +206,9 @@ def test_invalid_answers_are_shown():
         (
             1,
             "state",
-            "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)",
+            "6041 0x250 switch on disabled (4 bytes instead of 2), 6064 -5 (2 bytes instead of 4)",
         ),
-        (1, "modes", "6502 (more than 4 bytes: expected 4)"),
+        (1, "modes", "6502 (more than 4 bytes instead of 4)"),
         (1, "rated mA, mN m", "6075 (general error (0x08000000)), 6076 420"),
         (1, "units per turn", "6092:1 -, 6092:2 1, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1"),
         (1, "limits", "6080 (no answer)"),
@@ -282,7 +287,7 @@ def test_silent_node_does_not_delay_scan():
     )
     assert row(nodes, heard, "state", 2).ok
     assert (row(nodes, heard, "PDOs", 2).found, row(nodes, heard, "PDOs", 2).ok) == (
-        "none is mapped",
+        "no PDO is mapped",
         True,
     )
 
@@ -316,17 +321,17 @@ def test_other_devices_and_nodes_only_heard():
         **{(3, *key): value_answer(*key, value, 4) for key, value in IDENTITY.items()},
     }
     nodes, heard, _ = odd(3, answers)
-    assert row(nodes, heard, "no drive", 1).ok
+    assert row(nodes, heard, "not a drive", 1).ok
     assert not row(nodes, heard, "only heard", 2).ok
     assert row(nodes, heard, "drive", 3).found.endswith(
         "1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D"
     )
     lines = list(bus_lines(bus_file("can0", "socketcan"), nodes))
     assert any(
-        re.fullmatch(r"bitrate = \d+ # FILL IN: as ip link shows it", line) for line in lines
+        re.fullmatch(r"bitrate = \d+ # FILL IN: copy it from ip link", line) for line in lines
     )
     assert [line for line in lines if line.startswith("other_nodes")] == [
-        "other_nodes = [1] # no drives"
+        "other_nodes = [1] # nodes that are not drives"
     ]
     assert [line.split(" #")[0] for line in lines if line.startswith("node")] == ["node = 3"]
 
@@ -348,19 +353,19 @@ def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> An
     return link
 
 
-NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
+NO_ID = "# master_node = ... # FILL IN: node id of this program; all are in use"
 
 
 @pytest.mark.parametrize(
     ("link", "said"),
     [
         (all_answer(), NO_ID),
-        (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
+        (all_answer(0, (9, 5)), "master_node = 9 # node id of this program; no device uses it"),
         # 9 is heard only
-        (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),
+        (all_answer(0, (9, 5), 9), "master_node = 5 # node id of this program; no device uses it"),
         (
             all_answer(0, tuple(range(2, 128)), 127, 126),
-            "master_node = 125 # of this program; no device has it",
+            "master_node = 125 # node id of this program; no device uses it",
         ),
         (all_answer(0, tuple(range(2, 128))), None),
     ],
@@ -406,7 +411,7 @@ def test_track_refuses_fill_in_marks(scanned, tmp_path, capsys, monkeypatch):
     command = ["record", "robot.toml", "--track", "ref.csv", "-o", "log.mcap"]
     ear = Ear("scan_two")
     assert main([*command, "--yes"]) == 1
-    assert "FILL IN: expected none in [bus]" in capsys.readouterr().err
+    assert "marked FILL IN. Complete them" in capsys.readouterr().err
     assert ear.frames() == []
     assert not (tmp_path / "log.mcap").exists()
     assert main([*command, "--dry-run"]) == 0
@@ -456,11 +461,11 @@ def test_marks_of_ratios_and_limits_count(line, marks, counts):
     [
         (
             ["socketcan", "--bitrate", "500000"],
-            "--bitrate = 500000: of socketcan: expected none: ip link set can0",
+            "sets the bit rate of socketcan. Run this instead: `ip link set can0",
         ),
-        (["slcan"], "--bitrate is missing: a wrong one destroys the frames of others"),
+        (["slcan"], "--bitrate is missing: a wrong bit rate destroys the frames of other nodes"),
         (["slcan", "--bitrate", "123"], "--bitrate = 123"),
-        (["virtual", "--toml", "here.toml"], "here.toml: already exists"),
+        (["virtual", "--toml", "here.toml"], "here.toml: the file already exists"),
     ],
 )
 def test_refused_options(options, said, tmp_path, monkeypatch, capsys):

@@ -314,22 +314,26 @@ def test_headers_in_any_encoding(tmp_path, name, text, encoding):
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("a.log", "  can0  181   [8]  27 06 00 00 00 00 00 00\n", "line 1: .*screen.*candump -L"),
-        ("a.log", " (1.5)  can0  181   [2]  27 06\n", "line 1: .*screen.*candump -L"),
-        ("a.log", "  can0  181   {2}  27 06\n", "line 1: .*screen.*candump -L"),
-        ("a.log", "***BUSMASTER Ver 3.2.2***\n***HEX***\n", "BUSMASTER: expected .*asc"),
-        ("a.log", ";$FILEVERSION=1.1\n", "PCAN: expected the suffix .trc"),
-        ("a.log", "   1)  1059.9  Rx  0181  0\n", "PCAN: expected the suffix .trc"),
-        ("a.log", "date Sat Nov 21\nbase hex\n", "Vector: expected the suffix .asc"),
-        ("a.log", "(1.0) can0 080#\n(1.1) can0 0(1.2) can0 080#\n", "line 2: is no frame"),
-        ("a.log", "x" * 3000 + "\n", "line 1: is no frame"),
-        ("a.log", "x" * 3000, r"no frames of classic CAN \(1 last line, which is cut\)"),
-        ("a.log", b"(1.0) can\xff 080#\nx\n", "line 2: is no frame"),
-        ("a.log", "(1.0) can0 080#\n" * 200 + "x\n", "line 201: is no frame"),
+        ("a.log", "  can0  181   [8]  27 06 00 00 00 00 00 00\n", "line 1: .*screen.*candump -l"),
+        ("a.log", " (1.5)  can0  181   [2]  27 06\n", "line 1: .*screen.*candump -l"),
+        ("a.log", "  can0  181   {2}  27 06\n", "line 1: .*screen.*candump -l"),
+        ("a.log", "***BUSMASTER Ver 3.2.2***\n***HEX***\n", "BUSMASTER.*Export it as .asc"),
+        ("a.log", ";$FILEVERSION=1.1\n", "of PCAN, not of candump. Rename it to .trc"),
+        ("a.log", "   1)  1059.9  Rx  0181  0\n", "of PCAN, not of candump. Rename it to .trc"),
+        ("a.log", "date Sat Nov 21\nbase hex\n", "of Vector, not of candump. Rename it to .asc"),
+        (
+            "a.log",
+            "(1.0) can0 080#\n(1.1) can0 0(1.2) can0 080#\n",
+            "line 2: the line is not a frame",
+        ),
+        ("a.log", "x" * 3000 + "\n", "line 1: the line is not a frame"),
+        ("a.log", "x" * 3000, r"no frames of classic CAN \(1 truncated last line\)"),
+        ("a.log", b"(1.0) can\xff 080#\nx\n", "line 2: the line is not a frame"),
+        ("a.log", "(1.0) can0 080#\n" * 200 + "x\n", "line 201: the line is not a frame"),
         (
             "a.log",
             "(1.0) can0 080#\n" * 200 + "(1.0) can0 FFFFFFFF#\n",
-            "frame 201: .*0xFFFFFFFF, .*29 bits",
+            "frame 201: .*0xFFFFFFFF .*29 bits",
         ),
         (
             "a.log",
@@ -339,15 +343,15 @@ def test_headers_in_any_encoding(tmp_path, name, text, encoding):
         (
             "a.asc",
             "base hex\nno\n 1.0 1 20000000x Rx d 0\n",
-            "frame 1: .*identifier 0x20000000, .*29 bits",
+            "frame 1: .*identifier 0x20000000 .*29 bits",
         ),
         (
             "a.asc",
             "base hex\nno\n 1.0 1 FFFFFFFFFFx Rx d 0\n",
-            "identifier 0xFFFFFFFFFF, .*29 bits",
+            "identifier 0xFFFFFFFFFF .*29 bits",
         ),
-        ("a.trc", ";$FILEVERSION=1.1\n 1) 1.0 Rx 3FFFFFFF 0\n", "identifier 0x3FFFFFFF, .*29 bits"),
-        ("a.log", "(1.0) can0 FFFFFFFF#\n", "frame 1: .*identifier 0xFFFFFFFF, .*29 bits"),
+        ("a.trc", ";$FILEVERSION=1.1\n 1) 1.0 Rx 3FFFFFFF 0\n", "identifier 0x3FFFFFFF .*29 bits"),
+        ("a.log", "(1.0) can0 FFFFFFFF#\n", "frame 1: .*identifier 0xFFFFFFFF .*29 bits"),
     ],
 )
 def test_unreadable_logs_are_named(tmp_path, name, content, expected):
@@ -372,7 +376,7 @@ def test_truncated_candump(tmp_path, end, more):
     content = candump(made_up()).encode()[:-end] + more
     recording, found = imported(tmp_path / "a.log", content)
     assert true_rows(recording) == 299
-    assert found.warnings == ("left out: 1 last line, which is cut",)
+    assert found.warnings == ("left out: 1 truncated last line",)
     assert len(recording.frames["log"]) == 899
 
 
@@ -382,7 +386,7 @@ def test_other_truncated_texts(tmp_path, name, end):
     text = asc(made_up()).removesuffix("End TriggerBlock\n") if name == "a.asc" else trc(made_up())
     recording, found = imported(tmp_path / name, text[:-end])
     assert (true_rows(recording), len(recording.frames["log"])) == (299, 899)
-    assert found.warnings == ("left out: 1 last line, which is cut",)
+    assert found.warnings == ("left out: 1 truncated last line",)
     _, found = imported(tmp_path / "b.asc", asc(made_up())[:-1])  # its last line is no frame
     assert found.warnings == ()
 

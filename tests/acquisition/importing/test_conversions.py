@@ -88,8 +88,8 @@ def test_trace_import_needs_no_map(tmp_path, capsys):
     (tmp_path / "a.trc").write_text(TRC)
     for tables, words in (
         (["a.trc"], "a.trc: only 1 of 3 frames are SYNC (0x80)"),
-        (["a.trc", "b.csv"], "b.csv: a table needs --map MAP.toml"),
-        (["a.trc"] * 2, "a second CAN log"),
+        (["a.trc", "b.csv"], "b.csv: a table needs a map of its columns. Pass --map MAP.toml"),
+        (["a.trc"] * 2, "a.trc: only one CAN log can be"),
     ):
         assert words in told(capsys, "import", *(tmp_path / name for name in tables), *command)
 
@@ -110,12 +110,16 @@ def test_csv_has_every_digit(tmp_path):
     ("name", "content", "expected"),
     [
         ("a.log", b"", "contains no frames"),
-        ("a.log", b"(1.0) can0 080#\n(1.0) can0 zzz\n", "line 2: is no frame of candump"),
-        ("a.log", b"(1.0) can0 080#0\n", "line 1: is no frame of candump"),
-        ("a.log", b"(-5.0) can0 080#\n", "line 1: is no frame of candump"),
-        ("a.log", b"(1.0) can0 40000080#\n", "frame 1: .*identifier 0x40000080, .*29 bits"),
+        (
+            "a.log",
+            b"(1.0) can0 080#\n(1.0) can0 zzz\n",
+            "line 2: the line is not a frame of candump",
+        ),
+        ("a.log", b"(1.0) can0 080#0\n", "line 1: the line is not a frame of candump"),
+        ("a.log", b"(-5.0) can0 080#\n", "line 1: the line is not a frame of candump"),
+        ("a.log", b"(1.0) can0 40000080#\n", "frame 1: .*identifier 0x40000080 .*29 bits"),
         ("a.asc", b"\xff\xfe\n", "contains no frames|damaged"),
-        ("a.txt", b"x", "suffix '.txt': expected .log"),
+        ("a.txt", b"x", "suffix '.txt' is unknown: expected .log"),
         ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
         (
             "a.trc",
@@ -125,12 +129,12 @@ def test_csv_has_every_digit(tmp_path):
         (
             "a.trc",
             b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
-            "version 1.2 of PCAN's format: expected",
+            "version 1.2 of the PCAN format is not supported: expected",
         ),
         (
             "a.log",
             b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n",
-            "frame 2: .*0x181, 9 bytes: expected .* 8 bytes at most",
+            "frame 2: .*0x181 and 9 bytes: expected .*at most 29 bits and 8 bytes",
         ),
         (
             "a.log",
@@ -155,8 +159,8 @@ def test_time_out_of_recording_range(tmp_path, name, time):
     log.write_text(head + "".join(line.format(t) for t in ("1.0", "1.001", time)))
     with pytest.raises(BadInputError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
-    told = f"time {float(time):.10g} s, identifier 0x80, 0 bytes: expected 0 to 2147483648 s"
-    assert str(caught.value).startswith(f"{log}: frame 3: {told}")
+    told = f"the frame has time {float(time):.10g} s, identifier 0x80 and 0 bytes"
+    assert str(caught.value).startswith(f"{log}: frame 3: {told}: expected 0 to 2147483648 s")
     assert list(tmp_path.iterdir()) == [log]
 
 

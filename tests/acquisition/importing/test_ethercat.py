@@ -369,7 +369,7 @@ def test_import_detects_capture_by_first_bytes(tmp_path, capsys):
     assert main([*command, "--overwrite", "--mapping", "6041"]) == 1
     (tmp_path / "a.cap").write_text("t,q\n0,0\n")
     assert main([*command, "--overwrite", "--mapping", WHOLE]) == 1
-    assert "expected an EtherCAT capture" in capsys.readouterr().err
+    assert "this option is only for EtherCAT captures" in capsys.readouterr().err
 
 
 def real() -> Path:

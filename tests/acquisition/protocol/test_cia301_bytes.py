@@ -48,7 +48,11 @@ def test_other_sdo_answers():
     )
     with pytest.raises(NoAnswerError) as unasked:
         protocol.check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
-    assert (unasked.value.node, unasked.value.place, unasked.value.expected) == (5, "x", "value")
+    assert (unasked.value.node, unasked.value.place, unasked.value.text) == (
+        5,
+        "x",
+        "the drive answered 'written' instead of 'value'",
+    )
     with pytest.raises(SdoAbortedError) as aborted:
         protocol.check_answer(answer_of(data("80 41 60 00 01 00 00 FF")), "value", 5, "x")
     assert (aborted.value.code, aborted.value.meaning) == (0xFF000001, "abort")
@@ -175,7 +179,7 @@ def test_objects_in_pdos_by_bits():
     for word in (0x60640010, 0x20000101, 0x200001FF):
         with pytest.raises(BadInputError) as caught:
             pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
-        assert caught.value.expected == "whole bytes of its own type"
+        assert caught.value.expected == "whole bytes, as many as the object has"
 
 
 def test_values_in_frame():
@@ -183,7 +187,9 @@ def test_values_in_frame():
     assert TPDO.pack(values) == data("37 92 FB FF FF FF D4 FE")
     # what is beyond belongs to nobody
     assert TPDO.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values
-    with pytest.raises(BadInputError, match="PDO 0x185: 7 bytes: expected 8"):
+    with pytest.raises(
+        BadInputError, match="PDO 0x185: the frame has 7 bytes: expected at least 8"
+    ):
         TPDO.unpack(data("37 92 FB FF FF FF D4"))
     assert [TPDO.offset(0x6041, 0), TPDO.offset(0x6064, 0), TPDO.offset(0x6074, 0)] == [0, 2, 6]
     assert (TPDO.bits, TPDO.length) == (64, 8)

@@ -27,11 +27,11 @@ KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32"}
     [
         (
             {(0x1A01, 0): 4, (0x1A01, 4): None},
-            "tpdo 2: 1A01:4 is not known: expected all 4 entries",
+            "tpdo 2: 1A01:4 is not known. Provide all 4 entries",
         ),
         ({(0x1A01, 2): None}, "tpdo 2: 1A01:2 is not known"),
         ({(0x1A01, 2): "was not seen"}, "tpdo 2: 1A01:2 was not seen"),
-        ({(0x1A01, 2): 0x60C20207}, "tpdo 2: 1A01:2 maps 60C2:2 of 7 bits"),
+        ({(0x1A01, 2): 0x60C20207}, "tpdo 2: 1A01:2 maps 7 bits of 60C2:2"),
     ],
 )
 def test_unknown_entries_shift_no_object(change, expected):
@@ -150,7 +150,7 @@ def line_of(eds: str, section: str, key: str) -> int:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("[1A00sub2]", "[1A00sub5]", "tpdo 1: 1A00:2 is not known: expected all 3 entries"),
+        ("[1A00sub2]", "[1A00sub5]", "tpdo 1: 1A00:2 is not known. Provide all 3 entries"),
         ("=0x60640020", "=0x60640020 // position", "tpdo 1: 1A00:2 a.dcf: line {}: DefaultValue"),
         ("=0x60640020", "=", "tpdo 1: 1A00:2 a.dcf: line {}: DefaultValue is empty"),
         (
@@ -210,7 +210,7 @@ def test_compact_storage(lines):
         ),
         (
             COMPACTS["values"].replace("2=0x60640020", "2=position"),
-            ": 2 = 'position' is no number",
+            ": 2 = 'position' is not a number",
         ),
         (COMPACTS["values"].replace("Obj=3", "Obj=three"), "1A00:0 a.dcf: line "),
         (COMPACTS["values"].replace("Obj=3", "Obj=0"), "no PDO from the drive carries 6064:0"),
@@ -232,12 +232,12 @@ def test_reason_for_object_without_type():
         'reference = "6074"', 'reference = "2074"'
     )
     eds = EDS.replace("[6074]", "[2074]").replace("DataType=0x0003", "DataType=3 bytes")
-    told = "a.eds: line 38: DataType = '3 bytes' is no number"
+    told = "a.eds: line 38: DataType = '3 bytes' is not a number"
     refused(text, told, {"dictionary:a.eds": eds.encode()})
 
 
 def test_reason_for_object_outside_pdos():
     text, files = dictionary_and_text({0x1800: [1, 0]})
     name = entry_eds("1008", "device name", "0x0007", "const", "DefaultValue=Gold").encode()
-    told = "no PDO from the drive carries 6064:0: expected one (dictionary)"
+    told = "no PDO from the drive carries 6064:0. Map it"
     refused(text, told, {"dictionary:a.dcf": name + files["dictionary:a.dcf"]})

@@ -56,7 +56,8 @@ def test_dictionary_size_limit():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
     with pytest.raises(
-        BadInputError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")
+        BadInputError,
+        match=re.escape("a.eds: the file has 4194305 bytes: expected at most 4194304"),
     ):
         found(EDS + remark + "x")
 
@@ -99,7 +100,7 @@ def test_empty_number_is_0_with_warning():
     )
     assert (dictionary.vendor, dictionary.product, dictionary.identity) == (0, 0, [])
     assert dictionary.warnings == tuple(
-        f"a.eds: line {line}: {key} is empty: read as 0, which is not checked"
+        f"a.eds: line {line}: {key} is empty: it is read as 0, and not checked"
         for line, key in (
             (3, "VendorNumber"),
             (5, "ProductNumber"),
@@ -113,7 +114,7 @@ def test_real_dictionaries_load_or_give_one_line(name):
     data = (needs_data("eds") / name).read_bytes()
     if name.startswith("infranor"):
         with pytest.raises(
-            BadInputError, match=r"line 2112: .MANUFACTUREROBJECTS. holds '12' twice"
+            BadInputError, match=r"line 2112: .MANUFACTUREROBJECTS. contains '12' twice"
         ):
             load_dictionary(data, name, 1)
         return
@@ -131,7 +132,7 @@ def test_object_missing_in_dictionary():
     text = text.replace('reference = "6074"', 'reference = "2031"')
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
     refused(
-        text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec}
+        text, "reference_rule is missing: the unit of 2031:0 (U32)", {"dictionary:a.eds": nanotec}
     )
 
 
@@ -140,15 +141,15 @@ def test_object_missing_in_dictionary():
     [
         (
             {0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]},
-            "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most",
+            "tpdo 1 (mapping = 'dictionary'): the PDO has 10 bytes: expected at most 8",
         ),
         (
             {0x1400: [1, 0x20000201]},
-            "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F",
+            "rpdo 1 (mapping = 'dictionary'): the identifier 0x20000201 belongs to another",
         ),
         (
             {0x1400: [1, 0x181]},
-            "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1",
+            "rpdo 1 (mapping = 'dictionary'): the identifier 0x181 is also that of a PDO of",
         ),
         ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
     ],
@@ -161,11 +162,11 @@ def test_dictionary_pdos_are_checked(records, expected):
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
-        (b"", "holds no objects"),
-        (b"\xff\xfe\x00junk", "holds no objects"),
-        (b"[DeviceInfo]\nVendorNumber=x\n", "holds no objects"),
-        (b"[6041]\nDataType=6\n DATATYPE = 7\n", "line 3: [6041] holds 'datatype' twice"),
-        (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
+        (b"", "the file contains no objects"),
+        (b"\xff\xfe\x00junk", "the file contains no objects"),
+        (b"[DeviceInfo]\nVendorNumber=x\n", "the file contains no objects"),
+        (b"[6041]\nDataType=6\n DATATYPE = 7\n", "line 3: [6041] contains 'datatype' twice"),
+        (b"[6041]\na=1\n[6041]\n", "line 3: [6041] exists twice. Remove one"),
     ],
 )
 def test_damaged_dictionaries(data, expected):
@@ -187,5 +188,7 @@ def test_traffic_pdos_are_checked():
         (0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)
     }
     robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
-    with pytest.raises(BadInputError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
+    with pytest.raises(
+        BadInputError, match=r"tpdo 1 \(mapping = 'traffic'\): the identifier 0x701"
+    ):
         resolve(robot, "r.toml", {1: Confirmed(values=values)})

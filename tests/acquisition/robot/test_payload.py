@@ -345,7 +345,7 @@ def test_dry_run_carries_payload(tmp_path, capsys, payload, torque_nm):
         assert (said, recording.payload) == ("", None)
     else:
         assert said.startswith(
-            f"payload {recording.payload.describe('joint_1')}: no limit of robot.toml counts it"
+            f"payload {recording.payload.describe('joint_1')}: the limits of robot.toml ignore it"
         )
     stop_ns = next(e.stamp_ns for e in recording.events if e.text == "stop")
     still = recording.samples[recording.samples["stamp_ns"] < stop_ns][-50:]

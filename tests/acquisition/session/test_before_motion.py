@@ -108,10 +108,10 @@ def test_yes_confirms_joint_angles_only(tmp_path, monkeypatch, options, faults, 
     ("values", "missing", "refused"),
     [
         ({(0x1016, 0): 0}, (), ""),  # 6007h is 1
-        ({(0x6007, 0): 0, (0x1016, 0): 0}, (), "none of the master"),
-        ({}, (0x1016, 0x6007), "none of the master"),
-        ({(0x6065, 0): 2**32 - 1}, (), "none of the following error"),
-        ({}, (0x6065,), "none of the following error"),
+        ({(0x6007, 0): 0, (0x1016, 0): 0}, (), "a lost master has no effect"),
+        ({}, (0x1016, 0x6007), "a lost master has no effect"),
+        ({(0x6065, 0): 2**32 - 1}, (), "the following error is not monitored"),
+        ({}, (0x6065,), "the following error is not monitored"),
         ({(0x6065, 0): 0}, (), ""),
     ],
 )
@@ -161,10 +161,13 @@ def test_drive_without_homing_blocks_motion(name):
 
 def test_nothing_is_written_before_confirmation(tmp_path):
     def refuse(master):
-        raise RobotIdimError("joint angles not confirmed")
+        raise RobotIdimError("the joint positions were not confirmed")
 
     session = dry_session(tmp_path / "a.mcap", Task(reference=swing(2), before_motion=refuse))
-    assert (session.outcome.fault, session.outcome.reason) == (True, "joint angles not confirmed")
+    assert (session.outcome.fault, session.outcome.reason) == (
+        True,
+        "the joint positions were not confirmed",
+    )
     assert set(session.sent["can_id"].tolist()) == {0x601, 0x602}
     assert set(session.sent["data"][:, 0].tolist()) == {0x40}  # reads
     short = Task(reference=np.zeros((2, 2)), before_motion=lambda _: ["confirmed: all"])
@@ -181,11 +184,11 @@ def test_no_session_without_terminal_or_yes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
     assert main(command) == 1
     assert (
-        "nobody can confirm the joint positions: expected a terminal, or --yes"
+        "without a terminal, the joint positions cannot be confirmed. Run"
         in capsys.readouterr().err
     )
     assert main([*command, "--yes"]) == 1  # it gets as far as the bus
-    assert "none0: cannot be opened" in capsys.readouterr().err
+    assert "none0: the bus cannot be opened" in capsys.readouterr().err
     assert not (tmp_path / "a.mcap").exists()
 
 
@@ -193,11 +196,11 @@ def test_no_session_without_terminal_or_yes(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("out", "told"),
     [
-        ("old.mcap", "old.mcap: already exists: expected a new name"),
-        ("ref.csv", "ref.csv: already exists: expected a new name"),
-        ("robot.toml", "robot.toml: already exists: expected a new name"),
-        ("away/a.mcap", "away/a.mcap: cannot be written: expected a new name in a folder that is"),
-        ("old.mcap/a.mcap", "old.mcap/a.mcap: cannot be written: expected a new name in a folder"),
+        ("old.mcap", "old.mcap: the file already exists. Choose a new name"),
+        ("ref.csv", "ref.csv: the file already exists. Choose a new name"),
+        ("robot.toml", "robot.toml: the file already exists. Choose a new name"),
+        ("away/a.mcap", "away/a.mcap: the folder does not exist or is read-only. Choose"),
+        ("old.mcap/a.mcap", "old.mcap/a.mcap: the folder does not exist or is read-only. Choose"),
     ],
 )
 def test_invalid_output_is_refused_before_bus_opens(tmp_path, capsys, monkeypatch, way, out, told):
@@ -211,7 +214,7 @@ def test_duration_with_reference_is_refused(tmp_path, capsys, monkeypatch, way):
     options = ["-o", "a.mcap", "--track", "ref.csv", "--duration", "3", *way.split()]
     check_that_nothing_begins(tmp_path, monkeypatch, options)
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said == "robot-acquire: --track: lasts as long as its reference: expected no --duration"
+    assert said.startswith("robot-acquire: --duration = 3.0: a session with a reference lasts")
 
 
 def check_that_nothing_begins(folder, monkeypatch, options):
@@ -262,11 +265,11 @@ REF = Path("ref.csv")
     ("options", "place", "expected"),
     [
         *(
-            ({"track": REF, "speed": x}, "--speed", "more than 0, and 1 at most")
+            ({"track": REF, "speed": x}, "speed", "greater than 0 and at most 1")
             for x in (0, -0.5, 1.5, np.nan)
         ),
-        ({"speed": 0.5}, "--speed", "--track with it"),
-        ({"track": REF, "duration_s": 1.0}, "--track", "no --duration"),
+        ({"speed": 0.5}, "speed", ""),
+        ({"track": REF, "duration_s": 1.0}, "duration_s", ""),
     ],
 )
 def test_contradicting_options(tmp_path, options, place, expected):
@@ -312,7 +315,9 @@ def test_excessive_jitter_is_refused(monkeypatch):
     assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
     assert found.off == 1.0
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0119)
-    with pytest.raises(RefusedError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
+    with pytest.raises(
+        RefusedError, match=r"SYNC jitter sd = 4.000 ms: 3 standard deviations exceed 11.9 ms"
+    ):
         refuse_jitter(master)
 
 
@@ -321,7 +326,7 @@ def test_jitter_without_foreign_sync():
     before_ns = run.now_ns()
     with pytest.raises(BusFaultError) as caught:
         refuse_jitter(master)
-    assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
+    assert (caught.value.place, caught.value.advice) == ("bus", "Start the other SYNC producer")
     assert run.now_ns() - before_ns == 50 * 2_000_000
 
 
@@ -337,8 +342,6 @@ def test_late_sync_limit_is_3_periods_and_20_ms():
         link.time_ns = pace.next_ns + late_ms * 1_000_000
         pace.sync(in_motion=True)
     link.time_ns = pace.next_ns + 31_000_000
-    with pytest.raises(
-        BusFaultError, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"
-    ):
+    with pytest.raises(BusFaultError, match=r"SYNC was 0.031 s late in motion, more than 0.03 s"):
         pace.sync(in_motion=True)
     pace.sync(in_motion=False)

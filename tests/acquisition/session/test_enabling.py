@@ -97,7 +97,7 @@ def test_motion_beyond_enabling_limit_is_fault(tmp_path):
     error = enabled("beyond.mcap", 0.98 * sag_deg).outcome.error
     assert (error.place, error.key) == ("joint_1", "motion while drives were enabled")
     assert -0.98 * sag_deg / DEG > error.value > -1.2 * sag_deg / DEG
-    assert error.expected == f"{0.98 * sag_deg / DEG:.4g} at most"
+    assert error.expected == f"at most {0.98 * sag_deg / DEG:.4g}"
 
 
 class Runaway(JointwisePlant):
@@ -156,7 +156,7 @@ def test_drive_lost_while_enabling_is_fault(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=late, simulated=Falling)
     assert (
         session.outcome.reason
-        == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
+        == "node 1 (motor_1): the drive has left operation enabled in motion: ready to switch on"
     )
     assert session.events("phase")[-1] == "enable"
 
@@ -172,7 +172,7 @@ def test_fault_is_reset_by_rising_edge(tmp_path, monkeypatch):
     at_boot(monkeypatch, in_fault)
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
-    assert session.events("mark") == ["node 1: found in fault", "node 2: found in fault"]
+    assert session.events("mark") == [f"node {k}: in fault before the session" for k in (1, 2)]
 
 
 def test_unconfirmed_fault_is_not_reset(tmp_path, monkeypatch):
@@ -186,5 +186,5 @@ def test_unconfirmed_fault_is_not_reset(tmp_path, monkeypatch):
         return ()
 
     session = dry_session(tmp_path / "a.mcap", Task(reference=TRACK.reference, before_motion=asked))
-    assert session.outcome.reason.startswith("node 2 (motor_2): went into fault")
+    assert session.outcome.reason.startswith("node 2 (motor_2): the drive went into fault")
     assert session.drives.states[1] is State.FAULT

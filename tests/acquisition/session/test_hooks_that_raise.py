@@ -125,7 +125,7 @@ def test_raising_announcement_is_in_events(tmp_path, error, confirms):
         "every drive confirmed" if confirms else "NOT DISABLED"
     ]
     if isinstance(error, Exception):
-        text = f"held back while the drives were stopped: {type(error).__name__}: {error}"
+        text = f"an error while the drives were stopped: {type(error).__name__}: {error}"
         assert text in session.events("warning")
         assert session.raised is None
     else:
@@ -308,7 +308,7 @@ def test_deleted_recording_gets_new_name(tmp_path, how):
         assert session.outcome.reason == "finished"
         assert len(session.frames) == len(whole.frames)
         return
-    assert session.outcome.reason == f"a.mcap was deleted: it is now {read}"
+    assert session.outcome.reason == f"a.mcap was deleted; the recording is now in {read}"
     assert (session.outcome.fault, session.outcome.cut_short) == (False, True)
     assert session.recorded.path == read
     assert not session.recording.cut
@@ -351,7 +351,7 @@ def test_exit_status_of_unfinished_reference(
     assert main([str(word) for word in (*command, "-o", out)]) == status
     errors = [x for x in capsys.readouterr().err.splitlines() if x.startswith("robot-acquire")]
     assert errors == [
-        f"robot-acquire: {out}: the session was cut short: stopped by {name}"
+        f"robot-acquire: {out}: the session ended early: stopped by {name}"
         for name in ([] if status == 0 else [number.name])
     ]
 

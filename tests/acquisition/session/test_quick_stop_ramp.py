@@ -48,7 +48,7 @@ def test_quick_stop_takes_its_full_time(tmp_path, monkeypatch):
     speed = np.interp(np.arange(0, 4.0, 0.002), [0, 1.2, 2.0, 3.2], [0, 2.2, 2.2, 0])
     task = Task(reference=np.repeat(np.cumsum(speed)[:, None] * 0.002, 2, axis=1))
     session = dry_session(tmp_path / "a.mcap", task, robot=ROBOT, through=Watching, stop=stop)
-    assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
+    assert session.outcome.reason == "stopped by SIGINT, and again: quick stop"
     assert not session.outcome.unconfirmed
     active = [t for t, state, _ in seen if state is State.QUICK_STOP_ACTIVE]
     off_s, _, speed = next(
@@ -62,7 +62,7 @@ def test_weak_quick_stop_is_refused(tmp_path, monkeypatch):
     for share, ok in ((1.0, True), (0.98, False)):
         with_objects(monkeypatch, {0x605A: 2, 0x6085: round(share * COUNTS)})
         run, master = connected(ROBOT)
-        (found,) = findings(run, master.bus, "quick stop ramp", 2)
+        (found,) = findings(run, master.bus, "quick stop deceleration", 2)
         assert found.ok == ok
         words = (
             f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed "
@@ -70,8 +70,10 @@ def test_weak_quick_stop_is_refused(tmp_path, monkeypatch):
         )
         assert found.found.startswith(words)
     session = dry_session(tmp_path / "a.mcap", REST, robot=ROBOT)
-    expected = f"{words}: expected 57.3 at least for --track, half the acceleration limit"
-    assert f"node 1 (motor_1): quick stop ramp: {expected}; node 2" in session.outcome.reason
+    expected = f"{words}: expected at least 57.3 for motion, half the acceleration limit"
+    assert (
+        f"node 1 (motor_1): quick stop deceleration: {expected}; node 2" in session.outcome.reason
+    )
     assert set(session.sent["data"][:, 0].tolist()) == {0x40}  # nothing was written
     assert not any(np.isin(session.frames["can_id"], [0x201, 0x202]))
 
@@ -82,7 +84,7 @@ def test_unknown_deceleration_is_noted(tmp_path, monkeypatch):
         note.partition(": voltage")[0]
         for note in dry_session(tmp_path / "a.mcap", REST).events("mark")
     ]
-    assert notes == [f"node {k} (motor_{k}): quick stop ramp: unknown" for k in (1, 2)]
+    assert notes == [f"node {k} (motor_{k}): quick stop deceleration: unknown" for k in (1, 2)]
 
 
 @pytest.mark.parametrize(

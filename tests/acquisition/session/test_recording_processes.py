@@ -66,7 +66,7 @@ def test_killed_recorder_stops_session(folder):
         recorder = recorder_of(session.pid)
         killed_ns = time.time_ns()
         os.kill(recorder, signal.SIGKILL)
-        assert "the recorder has ended" in failure_of(session)
+        assert "the recorder's process ended" in failure_of(session)
         assert processes.states_of(folder) == [State.SWITCH_ON_DISABLED] * 2
     recording = read_recording(out)
     assert recording.cut
@@ -92,7 +92,7 @@ def test_file_size_limit_stops_session(folder):
         session = processes.acquire(
             folder, *command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, largest)
         )
-        assert "cannot be written: File too large" in failure_of(session)
+        assert "the recording cannot be written: File too large" in failure_of(session)
         assert processes.states_of(folder) == [State.SWITCH_ON_DISABLED] * 2
     recording = read_recording(out)
     assert recording.cut

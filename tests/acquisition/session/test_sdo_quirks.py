@@ -166,7 +166,8 @@ QUIRKS: dict[str, tuple[Serve, Callable[[SimulatedNode], None], str, str]] = {
     "no range": (usual, values(dict.fromkeys(RANGE, 0)), "", ""),
     # 200 deg/s at a ratio of 50 are 1667 rpm
     "a quick stop of 1900 deg/s2": (
-        usual, values({(0x6085, 0): round(1900 / 360 * 50 * 65536)}), "", "quick stop ramp"),
+        usual, values({(0x6085, 0): round(1900 / 360 * 50 * 65536)}), "",
+        "quick stop deceleration"),
     "a motor that is slower": (usual, values({(0x6080, 0): 1600}), "", "motor speed 6080"),
     "a speed in turns per second": (
         usual, values({(0x6080, 0): 30, (0x60A9, 0): 0x00B40300}), "", ""),

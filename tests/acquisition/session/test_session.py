@@ -176,24 +176,25 @@ ENDED = {"through": partial(SyncOfAnother, ends_ns=2_200_000_000)}
     ("what", "reason"),
     [
         (of(Fault(kind="short", node=1, sync=250, count=3)),
-         "node 1 (motor_1): 3 SYNC not answered"),
+         "node 1 (motor_1): the drive has not answered 3 SYNCs in a row"),
         (beats(2, range(1, 10**9), NOT_OPERATIONAL),
-         "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
-        (beats(1, range(4, 5), NOT_OPERATIONAL), "node 1 (motor_1): left operational (NMT state "
-                                                 "127)"),
-        (beats(1, range(2, 5), None), "node 1 (motor_1): heartbeat lost for 0.30 s"),
+         "node 2 (motor_2): the drive is not operational 3 heartbeats after START (NMT state 127)"),
+        (beats(1, range(4, 5), NOT_OPERATIONAL), "node 1 (motor_1): the drive has left "
+                                                 "operational (NMT state 127)"),
+        (beats(1, range(2, 5), None),
+         "node 1 (motor_1): the drive has sent no heartbeat for 0.30 s"),
         (beats(1, range(4, 5), ERROR_FRAME), f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
         (disobedient(0x0200),
-         "node 2 (motor_2): does not take commands from the bus (statusword bit 9, remote, is 0) "
-         "for 3 SYNC"),
-        (disobedient(0x1000), "node 2 (motor_2): does not follow its target (statusword bit 12 is "
-                              "0) for 3 SYNC"),
+         "node 2 (motor_2): the drive does not accept commands from the bus (statusword bit 9, "
+         "remote, is 0) for 3 SYNC periods"),
+        (disobedient(0x1000), "node 2 (motor_2): the drive does not follow its target "
+                              "(statusword bit 12 is 0) for 3 SYNC periods"),
         ({"through": partial(Unasked, frames=[Frame(1_600_000_000, 0x80, b"")])},
          "bus: another producer sends SYNC"),
-        (OTHER | ENDED, "bus: no SYNC in 10 periods: expected the other producer's; or "
-                        "sync_producer = " "'recorder'"),
+        (OTHER | ENDED, "bus: no SYNC was received in 10 periods. Start the other SYNC "
+                        "producer, or set sync_producer = 'recorder'."),
         (OTHER | of(Fault(kind="missing", node=1, sync=300, count=4)),
-         "node 1 (motor_1): 3 SYNC not answered"),
+         "node 1 (motor_1): the drive has not answered 3 SYNCs in a row"),
         ({"through": partial(DeadBus, ends=803)},
          "bus: frame cannot be sent: transmit buffer full"),
     ],
@@ -221,7 +222,7 @@ def test_nearly_full_disk_ends_session(tmp_path, monkeypatch, task):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
     session = dry_session(tmp_path / "a.mcap", task)
-    assert (session.outcome.reason, session.outcome.fault) == ("disk nearly full", False)
+    assert (session.outcome.reason, session.outcome.fault) == ("the disk is nearly full", False)
     assert session.outcome.cut_short
     assert session.recorded.samples > 0
 
@@ -272,9 +273,10 @@ def test_exception_in_any_phase(tmp_path, monkeypatch, method, error):
     [
         # Nothing was written to these drives, so that nobody confirms anything.
         *((("= 0.42", "= 0.5"), task,
-           "node 2 (motor_2): rated value 6076:0: 420: expected 500 as robot.toml says", [])
+           "node 2 (motor_2): rated value 6076:0: 420, but robot.toml gives 500", [])
           for task in (Task(duration_s=1.0), TRACK)),
-        *((("node = 2", "node = 9"), task, "node 9: object 6041:0: no answer in 0.3 s", [])
+        *((("node = 2", "node = 9"), task,
+           "node 9: object 6041:0: the drive did not answer within 0.3 s", [])
           for task in (Task(duration_s=1.0), TRACK)),
         (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK,
          "node 1: no PDO from the drive carries 6041:0, which", []),

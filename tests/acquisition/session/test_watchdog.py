@@ -66,7 +66,7 @@ def last_target_ns(recording: Recording) -> int:
 
 def disabled_by_the_recorder(recording: Recording) -> bool:
     """ShowStatus, and the drives' own last words on the disk too."""
-    confirmed = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
+    confirmed = "every drive confirmed to the watchdog" in texts(recording, "disabled")
     return confirmed and all(
         states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2)
     )
@@ -75,8 +75,8 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
 @pytest.mark.parametrize(
     ("number", "silent"),
     [
-        (signal.SIGKILL, "the session's process is gone"),
-        (signal.SIGSTOP, "no sign of life from the session for 0.3 s"),
+        (signal.SIGKILL, "the session's process has ended"),
+        (signal.SIGSTOP, "the session has sent no heartbeat for 0.3 s"),
     ],
 )
 @tried_again
@@ -103,7 +103,7 @@ def test_unmonitored_drives_are_stopped(folder, number, silent):
             State.SWITCH_ON_DISABLED
         }
         assert states_of(folder) == [State.SWITCH_ON_DISABLED] * 2
-    assert f"{silent}: the recorder's process stopped the drives" in texts(recording, "fault")
+    assert f"{silent}: the watchdog stopped the drives" in texts(recording, "fault")
     assert len(recording.samples) > 0
 
 
@@ -119,7 +119,10 @@ def test_disable_command_disables_drives(folder, capsys):
                 State.OPERATION_ENABLED
             ] * 2
             assert main(["disable", str(folder / "robot.toml")]) == 0
-            assert capsys.readouterr().out == "disabled: nodes 1, 2; all in pre-operational\n"
+            assert (
+                capsys.readouterr().out
+                == "disabled: nodes 1, 2, all in NMT state pre-operational\n"
+            )
             master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
             assert [master.state(drive) for drive in master.bus.drives] == [
                 State.SWITCH_ON_DISABLED
@@ -165,9 +168,7 @@ def test_watchdog_acts_only_when_armed(monkeypatch):
     assert life.stopped() == ""
     life.alive()
     watchdog._thread.join(20)
-    assert said == [
-        "no sign of life from the session for 0.3 s: the recorder's process stopped the drives"
-    ]
+    assert said == ["the session has sent no heartbeat for 0.3 s: the watchdog stopped the drives"]
     life.close()
 
 
@@ -206,7 +207,7 @@ def test_awaited_answer_keeps_heartbeats():
     run.drives.silent.add(0)
     began_ns = run.now_ns()
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
-    with pytest.raises(NoAnswerError, match=r"no answer in 0.3 s"):
+    with pytest.raises(NoAnswerError, match=r"the drive did not answer within 0.3 s"):
         master.read(1, 0x6041)
     assert silence_s(master.bus.file) == 0.3  # longer than a few periods
     assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)

@@ -109,7 +109,7 @@ def test_table_follows_its_rate():
         [10.0, 20.0, 30.0, 40.0],
     )
     plant, seen = TablePlant(samples, 100.0), []
-    with pytest.raises(BadInputError, match="holds no samples"):
+    with pytest.raises(BadInputError, match="contains no samples"):
         TablePlant(samples[:0], 100.0)
     for _ in range(10):
         (q, dq), effort = plant.state(), plant.prescribed_effort()
@@ -136,7 +136,7 @@ def test_default_plant_has_weight(monkeypatch):
     scara = robot_named("scara")
     alone = driven_plant(scara, bus_of(scara))
     assert (
-        "no installed package offers the robot's dynamics (entry points robot_idim.plants)"
+        "no installed package provides the dynamics (entry point robot_idim.plants)"
         in alone.warning
     )
 
