@@ -38,38 +38,37 @@ def print_whole(*items: Document | str, short: bool = False) -> None:
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
         console.width = int(os.environ.get("COLUMNS") or SHORT_WIDTH) if short else _MAX_WIDTH
-    width = console.width if short else _MAX_WIDTH
     for item in items:
-        if isinstance(item, str):
-            _print_line(console, item)
+        if isinstance(item, str):  # perhaps a command, which has to stay one line
+            console.print(Text(one_line(item)), no_wrap=True, overflow="ignore", crop=False)
         else:
-            _print_line(console, item.title, "bold", width)
+            _print_line(console, item.title, "bold")
             for section in item.short.sections if short else item.sections:
-                _print_section(console, section, width)
+                _print_section(console, section, short)
 
 
-def _print_section(console: Console, section: Section, width: int) -> None:
+def _print_section(console: Console, section: Section, short: bool) -> None:
     if section.title:
-        _print_line(console, section.title, "italic", width)
+        _print_line(console, section.title, "italic")
     if section.table is not None:
         drawn = _rich_table(section.table)
-        if width != _MAX_WIDTH:
+        if short:
             _remove_frame(drawn)
         _print_table(console, drawn)
     for line in section.lines:
-        _print_line(console, line, width=width)
+        _print_line(console, line)
     for warning in section.warnings:
-        _print_line(console, f"Warning: {warning}", "yellow", width)
+        _print_line(console, f"Warning: {warning}", "yellow")
     if section.hint:
-        _print_line(console, section.hint, "dim", width)
+        _print_line(console, section.hint, "dim")
 
 
-def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
+def _print_line(console: Console, text: str, style: str = "") -> None:
     # Keep a number and its unit together. NUL stands in for the blank, because a line never
     # contains it.
     for line in textwrap.wrap(
         one_line(text).replace(" %", "\0%"),
-        width,
+        console.width,
         subsequent_indent="  ",
         break_long_words=False,
         break_on_hyphens=False,

@@ -270,8 +270,8 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     lines = (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
         f"{study.seed}; noise: {study.noise.text}; of iv only runs that converged",
-        "false trust: the verdict is trust, but the error of an essential parameter is greater "
-        f"than {FALSE_TRUST:g} half-widths, or M is not positive: {', '.join(false) or 'no run'}",
+        "false trust (verdict trust, but an essential parameter is wrong by more than "
+        f"{FALSE_TRUST:g} half-widths or M is not positive): {', '.join(false) or 'no run'}",
     )
     return Document(
         title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)

@@ -106,12 +106,11 @@ ADDED_COLUMNS = Words(
     cases={
         "every term": Case("skipped", "the model has every term that is tried"),
         "missing": Case("caution", "{strongest}{more}", "{each}.", "{finding}"),
-        "ok": Case(
-            "ok", "none found of {tried} tried; the strongest, {strongest}{lone}{units}"
-        ),
+        "ok": Case("ok", "none found of {tried} tried; the strongest, {strongest}{lone}{units}"),
     },
     parts={
-        "strongest": "{coefficient} would explain {taken:.1f} % of the residual variance (t = {t:.1f})",
+        "strongest": "{coefficient} would explain {taken:.1f} % of the residual variance "
+        "(t = {t:.1f})",
         "more": "; {others} more with t above {limit:g}",
         "lone": "; one joint has no relative gain",
         "units": "; relative gains not tried, because the drive gains are not known",
