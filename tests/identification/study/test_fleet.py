@@ -53,7 +53,8 @@ def run(folder, say=lambda text: None, **how):
     )
 
 
-def test_table_has_each_fit_and_friction_step(fleet, tmp_path, capsys):
+def test_table_has_each_fit_and_friction_step(fleet, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "200")
     shutil.copytree(fleet, tmp_path / "arm")
     (tmp_path / "arm" / "cut.mcap").write_bytes((fleet / "1.mcap").read_bytes()[:50_000])
     assert (

@@ -53,7 +53,7 @@ def test_real_noise_moves_ls_not_iv(emps, capsys):
     page = (ROOT / "identification" / "docs" / "howto" / "excitation.md").read_text()
     block = page.split("\n    emps.mcap:")[1].split("\n\n")[0]
     shown = [line.split() for line in f"emps.mcap:{block}".splitlines()]
-    assert len(shown) == 5
+    assert len(shown) == 6
     assert [line for line in shown if line not in printed] == [], "the page shows the real record"
 
 
