@@ -1,8 +1,8 @@
-"""Export a fit as URDF, MJCF and robot.toml, and report what each cannot represent; make a
-description from a URDF.
+"""Export a fit as URDF, MJCF and robot.toml; make a description from a URDF.
 
-It owns the formats of simulators, and the text of a robot.toml that is made or changed. It may use
-stored fits, the model, and the control law for actuators. It reads no recordings.
+It owns the formats of simulators with a report of what each cannot represent, and the text of a
+robot.toml that is made or changed. It may use stored fits, the model, and the control law for
+actuators. It reads no recordings.
 """
 
 from .chain import Chain, read_chain

@@ -1,5 +1,6 @@
-"""Read the joints of a URDF to identify: the longest serial chain, or the joints named; the
-others stay locked at zero. What is not one tree of links and joints is refused.
+"""Read the joints of a URDF that are identified: the longest serial chain, or named joints.
+
+Other joints are locked at zero. A URDF must be one tree of links and joints.
 """
 
 import math
@@ -21,7 +22,7 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 _TYPES = (*MOVABLE, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _JOINT_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # as in robot.toml
-_MAX_ROUNDING = 1e-6  # relative to the largest principal moment: CAD programs write few digits
+_MAX_ROUNDING = 1e-6  # of the largest principal moment, as CAD programs write few digits
 _NUMBERS = {
     "speed": ("limit", "velocity"),
     "effort": ("limit", "effort"),
@@ -33,8 +34,13 @@ _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
 class UrdfTree:
-    """A URDF that is one tree: its links and joints by name, and `above`, the joint
-    that carries each link.
+    """A URDF that is one tree.
+
+    Attributes:
+        place: the file.
+        name: name of the robot.
+        links, joints: elements by name.
+        above: joint that carries each link.
     """
 
     def __init__(self, text: bytes, place: Location) -> None:
@@ -97,7 +103,7 @@ class UrdfTree:
     def path(self, joint: str | None) -> list[str]:
         """Return the joints from the root to `joint`, including it.
 
-        They are more than the URDF has if they form a loop.
+        If joints form a loop, these are more than the URDF has.
         """
         path: list[str] = []
         while joint is not None and len(path) <= len(self.joints):
@@ -107,7 +113,7 @@ class UrdfTree:
 
     @property
     def movable(self) -> list[str]:
-        """Revolute, continuous and prismatic joints that mimic no other joint."""
+        """Revolute, continuous and prismatic joints that do not mimic another joint."""
         return [
             name
             for name, j in self.joints.items()
@@ -143,7 +149,7 @@ def attribute_of(element: ET.Element, tag: str, name: str) -> str | None:
 
 
 def finite_number(text: str | None, place: Location, key: str) -> float:
-    """Read a number of a URDF; refuse anything that is not a finite number."""
+    """Read a finite number of a URDF; refuse anything else."""
     try:
         value = float(text or "")
     except ValueError:
@@ -154,11 +160,20 @@ def finite_number(text: str | None, place: Location, key: str) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
-    """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing
-    damping and friction are 0.
+    """A joint of the chain, SI: rad or m, N m or N; missing values are None.
 
-    Acceleration, following error, ratio, drive gain (motor N m or N per unit of effort) and the
-    unit of the recorded effort (empty: N m or N at the joint) come from options.
+    The last five values are not part of a URDF.
+
+    Attributes:
+        name: name of the joint.
+        type: `revolute` or `prismatic`.
+        position: lower and upper limit.
+        speed, effort: limits.
+        damping, friction: viscous and Coulomb friction; 0 if missing.
+        acceleration, following_error: limits.
+        ratio: motor rad (or m) per joint rad (or m).
+        drive_gain: motor torque or force per unit of the recorded effort.
+        effort_unit: unit of the recorded effort; empty for N m or N at the joint.
     """
 
     name: str
@@ -177,17 +192,20 @@ class UrdfJoint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """The robot to identify, from the URDF `place` and its options.
+    """The robot to identify, from a URDF and further values.
 
     Attributes:
-        name: of the robot, valid in robot.toml.
+        place: file of the URDF.
+        name: name of the robot, valid in robot.toml.
+        text: the URDF.
         joints: joints to identify, numbered from the base outwards.
-        locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
-        rigid: for each joint of the chain, the links that move with it as one body.
-        notes: what is odd in the inertials.
-        has_inertials: True if they are a priori values: masses of all joints, none impossible.
-        bandwidth_hz: of the position loops; not part of a URDF.
-        torque_sensors: True if these are the source of the recorded efforts.
+        locked: other movable joints, fixed at zero, each with its type and the joint it mimics.
+        rigid: for each joint of the chain, the links that move with it as one rigid body.
+        notes: remarks on unusual inertials.
+        has_inertials: True if the inertials are a priori values: each joint moves a mass, and none
+            is negative.
+        bandwidth_hz: bandwidth of the position loops, which is not part of a URDF.
+        torque_sensors: True if the recorded efforts are from joint torque sensors.
     """
 
     place: str
@@ -262,8 +280,11 @@ def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, 
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
-    `names` are the joints to identify, from the base outwards; by default the longest serial chain
-    without fingers.
+    Parameters
+    ----------
+    path : the URDF.
+    names : joints to identify, from the base outwards; by default the longest serial chain without
+        fingers.
 
     Raises
     ------
@@ -290,7 +311,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         )
     rigid: dict[str, list[str]] = {name: [] for name in chain}
     for link in tree.links:
-        # a link moves with the last joint of the chain below it
+        # A link moves with the last joint of the chain on its way to the base.
         if carried := [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]:
             rigid[carried[-1]].append(link)
     lacks, notes = _check_inertials(tree, rigid)
@@ -375,10 +396,10 @@ def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:
 def _check_inertials(
     tree: UrdfTree, rigid: Mapping[str, Sequence[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return notes on the inertials.
+    """Return notes that prevent a priori values, and other notes on the inertials.
 
-    A note says that there are no a priori values, if joints move no mass or inertials are negative.
-    Others name moments that violate the triangle inequality; these can be simulated.
+    Joints that move no mass and negative inertials prevent a priori values. Other notes name
+    moments that violate the triangle inequality; these can be simulated.
     """
     negative, notes, masses = list[str](), list[str](), dict.fromkeys(rigid, 0.0)
     for joint, link in ((joint, link) for joint, links in rigid.items() for link in links):
@@ -397,10 +418,10 @@ def _check_inertials(
             negative.append(f"link {link} has mass {m:g} kg, principal moments {shown} kg m²")
         elif moments[2] > moments[0] + moments[1] + slack:
             notes.append(
-                f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of "
-                "the others"
+                f"link {link} has impossible principal moments {shown} kg m²: one exceeds the sum "
+                "of the others"
             )
     without = [joint for joint, mass in masses.items() if not mass]
     lacks = [*([f"no mass moves with {listed(without)}"] if without else []), *negative]
-    text = f"no [parameters], which a simulation needs and a fit does not: {listed(lacks)}"
+    text = f"no [parameters], which simulations need and fits do not: {listed(lacks)}"
     return (text,) * bool(lacks), tuple(notes)

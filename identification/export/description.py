@@ -1,6 +1,4 @@
-"""Make a description from a URDF and its options: the text of a robot.toml, and
-the robot it describes.
-"""
+"""Make a description from a URDF and further values: text of a robot.toml, and its robot."""
 
 import json
 import math
@@ -14,17 +12,17 @@ from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint, read_chain
 
-# what a marked line is needed for, behind the mark
+# Uses that a marked line is needed for, after the mark.
 TO_FIT, TO_FIT_MOTORS, TO_MOVE = USES = " to fit", " to fit efforts of motors", " to move"
 _NO_BUS = f"# {FILL_IN}{TO_MOVE}: [bus] and its drives, which `robot-acquire scan --toml` writes"
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
 _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
-# of the effort: for friction, and to bring the rotor to full speed in this time
+# Share of the effort for friction, and for bringing the rotor to full speed in this time.
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2
-# of the example's drives: per turn or m; rated over maximum effort
+# Of the example's drives: counts per turn or m; rated over maximum effort.
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
-_OF_GAINS = "A", "V", "%"  # efforts that a drive gain makes N m or N
-# of the example's SYNC: seven drives fill a bus at 2 ms, and the period is in steps of 0.5 ms
+_OF_GAINS = "A", "V", "%"  # efforts that a drive gain converts to N m or N
+# Of the example's SYNC: seven drives fill a bus at 2 ms, and the period has steps of 0.5 ms.
 _SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.275, 2.0
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
 
@@ -37,8 +35,17 @@ def robot_of_chain(chain: Chain) -> Robot:
 def read_robot(
     path: Path, joints: Sequence[str] = (), given: Mapping[str, Sequence[float]] | None = None
 ) -> Robot:
-    """Read the robot of a robot.toml, or of a URDF with `joints` as in `read_chain` and `given`
-    values as in `Chain.with_values`.
+    """Read the robot of a robot.toml, or of a URDF.
+
+    Parameters
+    ----------
+    path : robot.toml or URDF.
+    joints : joints to identify in a URDF, as in `read_chain`.
+    given : values that a URDF lacks, as in `Chain.with_values`.
+
+    Raises
+    ------
+    BadInputError : values are given for a robot.toml, or a file is not valid.
     """
     if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
         return robot_of_chain(read_chain(path, joints).with_values(given or {}))
@@ -48,9 +55,7 @@ def read_robot(
 
 
 def chain_of_letters(letters: str) -> Chain:
-    """Return joints by their letters, R revolute and P prismatic, of which nothing else is
-    known.
-    """
+    """Return joints by their letters, R revolute and P prismatic, without any other values."""
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
     COMMAND_LINE.require(
         types and None not in types,
@@ -71,15 +76,20 @@ def chain_of_letters(letters: str) -> Chain:
 def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     """Return the text of the robot.toml of a chain.
 
-    Comments with `FILL IN` mark what URDF and options leave open. The text loads without changes;
-    `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
-    folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and
-    locked links lumped into their carrier; damping as Fv and friction as Fc; nothing if a joint
-    moves no mass.
+    Comments with `FILL IN` mark values that the URDF does not have and that are not given. The text
+    can be loaded without changes. `[parameters]` has the links' inertials in the frames of
+    `InverseModel`, with fixed and locked links lumped into their carrier, damping as Fv and
+    friction as Fc; it is left out if a joint moves no mass.
+
+    Parameters
+    ----------
+    chain : the robot.
+    urdf : path of the URDF, relative to the folder of the robot.toml.
+    bus : text of `[bus]`, which replaces the example drives.
 
     Raises
     ------
-    BadInputError : the URDF does not load.
+    BadInputError : the URDF cannot be loaded.
     """
     head = "\n".join(
         [
@@ -96,10 +106,9 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
 
 def describe_rows(chain: Chain, bus: str = "") -> str:
-    """Return the text of a robot.toml with rows of modified Denavit–Hartenberg parameters to be
-    filled in.
+    """Return the text of a robot.toml for a robot without URDF.
 
-    It is for robots without URDF.
+    It has rows of modified Denavit–Hartenberg parameters to be filled in.
     """
     rows = f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}{TO_FIT}"
     lines = [
@@ -151,7 +160,7 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
         f'type = "{joint.type}"',
     )
     if chain.torque_sensors:
-        yield "rotor_inertia = false # torque sensors behind the gears do not see the rotors"
+        yield "rotor_inertia = false # torque sensors behind the gears do not measure the rotors"
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
     for key, value, remark in (
         (f"position_{length}", joint.position, "the URDF has no range"),
@@ -214,9 +223,9 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
 
 
 def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
-    """Return the lines of ratio, drive gain and unit of the effort.
+    """Yield the lines of ratio, drive gain and unit of the effort.
 
-    A gain has no effect before the ratio is known too: it would give wrong N m.
+    A gain stays a comment until the ratio is known too, because it would give wrong N m.
     """
     torque = "N" if joint.type == "prismatic" else "N m"
     unit = joint.effort_unit or torque
@@ -226,7 +235,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     elif joint.effort_unit and not chain.torque_sensors:
         yield (
             f"# ratio = ... # {FILL_IN}{TO_FIT_MOTORS}: motor rad (or m) per joint rad (or m), "
-            "sign included; none for efforts at the joint"
+            "sign included; leave it out for efforts at the joint"
         )
     if unit in _OF_GAINS:
         gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
@@ -238,14 +247,14 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
-    """Return a priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
+    """Yield a priori values: the links' lumped inertials, with Khalil's names."""
     values = InverseModel(robot).link_parameters()
     if not chain.has_inertials:
         return
     rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
     yield from (
         "",
-        "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked "
+        "# A priori values: the URDF's inertials about the joints' frames (fixed and locked "
         "links lumped), its damping and",
         "# friction. Simulations use them; a fit does not.",
         f"# {FILL_IN}: {rotors}missing friction; without values they are 0.",
@@ -259,7 +268,7 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
             for name, value in zip((*LINK, "Fv", "Fc"), known, strict=True)
             if abs(value) > _MAX_ROUNDING
         )
-        # examples of what the URDF does not have, scaled by the joint's effort and speed
+        # Example values of what the URDF does not have follow from the joint's effort and speed.
         effort, speed = joint.effort or _DEFAULT_EFFORT, joint.speed or _DEFAULT_SPEED
         small = _EFFORT_SHARE * effort
         yield from (
@@ -274,7 +283,7 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
 
 
 def _drives(chain: Chain) -> Iterator[str]:
-    """Return the example drives, without the marks of its lines."""
+    """Yield the example drives, without the marks of their lines."""
     period_ms = max(_SHORTEST_SYNC_MS, math.ceil(2 * _SYNC_PER_DRIVE_MS * len(chain.joints)) / 2)
     yield from (
         "[bus]",

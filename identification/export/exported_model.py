@@ -1,8 +1,8 @@
 """Standard parameters in the form that simulators use, and the losses of a format.
 
-Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of
-each motor that turns with several joints; none is negative. Other terms are left out, and
-their torque is reported.
+Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of each motor
+that turns with several joints; no coefficient may be negative. Other terms are left out, and their
+torque is reported.
 """
 
 from dataclasses import dataclass
@@ -13,25 +13,29 @@ from .. import model as dynamics
 from ..arrays import Array
 from ..errors import BadInputError
 
-MIN_EIGENVALUE = 1e-12  # of the scaled pseudo-inertia of a physical body
+MIN_EIGENVALUE = 1e-12  # of the scaled pseudo-inertia of a rigid body
 STATES, SEED = 1000, 11  # random states
-# ± rad or m (per s, s²), for joints without limit.
+# ± rad or m (per s, s²), for joints without limits.
 DEFAULT_LIMITS = {"position": np.pi, "speed": 1.0, "acceleration": 5.0}
 MAX_ROUNDING = 1e-9  # relative to the largest rms torque
-# by term: rms of the missing torque (n,), and in percent of the whole torque
+# By term: rms of the missing torque (n,), and the same in percent of the whole torque.
 Losses = dict[str, tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportedModel:
-    """Values for all standard parameters of a robot of n joints, SI, and their friction by axis.
+    """Values of all standard parameters of a robot of n joints, SI, and their terms by axis.
+
+    The k axes are the joints, and then the motors that turn with several joints.
 
     Attributes:
-        chi: the standard parameters (p,).
+        model: inverse dynamic model of the robot.
+        chi: (p,) standard parameters.
         links: (n, 10) XX XY XZ YY YZ ZZ MX MY MZ M of each link, about the origin of its frame.
-        names: of k axes: the joints, then the motors that turn with several joints.
-        rows: (k, n); rows dq are the speeds of the axes.
-        armature, damping, frictionloss: (k,) of each axis alone.
+        names: (k,) names of the axes.
+        rows: (k, n) speeds of the axes per joint speed.
+        armature, damping, frictionloss: (k,) rotor inertia, viscous and Coulomb friction of each
+            axis alone.
     """
 
     model: dynamics.InverseModel
@@ -48,14 +52,19 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
     """Split the standard parameters chi (p,) of a model into links and axes.
 
     Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes
-    Ia6): it is subtracted here. The rest may be negative if the joints that share the motor
-    together dissipate energy.
+    Ia6), which is subtracted here. The rest may be negative if the joints that share the motor
+    dissipate energy together.
+
+    Parameters
+    ----------
+    model : the robot.
+    chi : (p,) standard parameters.
+    place : file of the parameters, for errors.
 
     Raises
     ------
-    BadInputError : links are impossible, rotor inertias negative, or friction generates energy,
-        none of
-        which simulators check; it names the parameters' file `place`.
+    BadInputError : links are not rigid bodies, rotor inertias are negative, or friction generates
+        energy. Simulators do not check this.
     """
     for j, link in enumerate(chi[dynamics.link_columns(model)]):
         if not dynamics.is_a_body(link, MIN_EIGENVALUE):
@@ -83,7 +92,7 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
 def _of_axes(model: dynamics.InverseModel, chi: Array) -> ExportedModel:
     """Return the terms of joints and motors in chi (p,), by axis.
 
-    One-sided friction is that of the mean of both directions.
+    Friction that differs by direction has the mean of both directions.
     """
     n = model.robot.n
     terms = [
@@ -121,8 +130,8 @@ def _coupled(term: dynamics.JointTerm) -> bool:
 def random_regressor(m: ExportedModel) -> Array:
     """Return the regressor (N, n, p) at random states, uniform within the limits of the joints.
 
-    Default limits are ±pi, ±1, ±5. The columns of load-dependent friction use the links' torque of
-    these parameters.
+    Default limits are ±pi, ±1, ±5. The columns of load-dependent friction have the torque of the
+    links with these parameters.
     """
     rng, joints, motion = np.random.default_rng(SEED), m.model.robot.joints, list[Array]()
     for quantity, default in DEFAULT_LIMITS.items():
@@ -139,11 +148,11 @@ def random_regressor(m: ExportedModel) -> Array:
 
 
 def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Losses]:
-    """Return the model of the terms that a format has, and the losses.
+    """Return the model with only the terms that a format has, and the losses.
 
-    `motors`: the format has armatures and couplings. One-sided friction becomes the mean of both
-    directions; the friction of one joint beside that of a motor that turns with it too is at least
-    0.
+    `motors` is True if the format has armatures and couplings. Friction that differs by direction
+    becomes the mean of both. The friction of a joint beside that of a motor that turns with it is
+    at least 0.
     """
     n, losses, terms = m.model.robot.n, Losses(), m.model.terms
     W = random_regressor(m)
@@ -190,8 +199,9 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
 
 
 def about_com(link: Array) -> tuple[float, Array, Array]:
-    """Return mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, from a link's
-    parameters (10,) about the origin.
+    """Return mass, centre of mass (3,), and XX XY XZ YY YZ ZZ (6,) about it.
+
+    `link` (10,) are a link's parameters about the origin of its frame.
     """
     mass = float(link[9])
     com = link[6:9] / mass

@@ -1,6 +1,8 @@
-"""Export a fit: read it as a robot with all standard parameters, make it consistent if it is not,
-build models in the requested formats before writing any, and report what each cannot represent. In
-a description only values in its tables change; all other lines stay as they are.
+"""Export a fit in the requested formats, and report what each cannot represent.
+
+A fit is read as a robot with all standard parameters, which are made physically consistent if they
+are not. All models are built before any file is written. In a description only values in its tables
+change; all other lines stay as they are.
 """
 
 import json
@@ -50,10 +52,16 @@ def export_fit(
 ) -> Document:
     """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
 
+    Parameters
+    ----------
+    stored : the fit.
+    place : its file, for errors.
+    untrusted : True to export a fit with the verdict `do not use`.
+    outputs : files by format.
+
     Raises
     ------
-    BadInputError : the fit is not to be used and not allowed as `untrusted`; or as in
-        `model_of_fit`.
+    BadInputError : the fit is not to be used; or as in `model_of_fit`.
     """
     refuse_clash((), of_kinds=outputs)
     reasons = (
@@ -74,10 +82,9 @@ def export_fit(
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """Return the robot of a fit, by its own description and drive gains, with all standard
-    parameters.
+    """Return the robot of a fit with all standard parameters, and lines on their origin.
 
-    Lines on their origin are returned too.
+    It has the description of the fit, with its drive gains.
     """
     stored, lines = with_findings(stored, place)
     robot = stored_robot(stored, place)
@@ -95,9 +102,9 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     )
     if (c := stored.consistent) is not UNSET:
         lines.append(
-            f"the consistent parameters of {place}: prior {c.prior}, weight "
-            f"{c.prior_weight:g}; chi² {c.chi2:.3g}, largest move {c.largest_move:.2g} "
-            f"half-widths of the 95 % interval, of {c.moved_most}"
+            f"the physically consistent parameters of {place}: prior {c.prior}, weight "
+            f"{c.prior_weight:g}; increase of chi² {c.chi2:.3g}, largest change "
+            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
         )
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
@@ -125,7 +132,7 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         text=f"lacks {', '.join(missing[:5])}" if missing else "",
         expected="one row and column per parameter",
     )
-    # of parameters of single recordings the mean, as in `stored_beta`
+    # Per-recording parameters have their mean, as in `stored_beta`.
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
     covariance = (
         np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
@@ -138,10 +145,10 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         model, base, Known(beta=beta, covariance=covariance, reach=reach)
     )
     return np.array([p.value for p in parameters]), (
-        f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
-        f"added chi² {c.chi2:.3g} on {base.b} parameters, largest move "
-        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; certificate "
-        f"{c.certificate:.1e}"
+        f"{place} is not physically consistent: the nearest consistent parameters are used; prior "
+        f"{c.prior}; increase of chi² {c.chi2:.3g} over {base.b} parameters, largest change "
+        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; Newton "
+        f"decrement {c.certificate:.1e}"
     )
 
 
@@ -161,9 +168,14 @@ def export_model(
     toml: Path | None = None,
     lines: tuple[str, ...] = (),
 ) -> tuple[dict[Path, str], Document]:
-    """Write a model in the requested formats, by path, and return a report.
+    """Make the texts of a model in the requested formats, by path, and a report.
 
-    `source` names the fit, `lines` the origin of its values.
+    Parameters
+    ----------
+    m : the model.
+    source : name of the fit.
+    urdf, mjcf, toml : files to be written.
+    lines : lines on the origin of its values.
     """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
@@ -171,7 +183,7 @@ def export_model(
         texts[urdf], notes = urdf_text(represented)
         if tuple(robot.gravity) != (0.0, 0.0, -9.81):  # the default of URDF readers
             gravity = " ".join(f"{g:g}" for g in robot.gravity)
-            notes += (f"gravity is {gravity} m/s²: not in a URDF, set it in the simulator",)
+            notes += (f"a URDF has no gravity: set {gravity} m/s² in the simulator",)
         sections.append(_make_section(m, f"{urdf}", "a URDF", losses, notes))
     if mjcf is not None:
         represented, losses = representable(m, motors=True)
@@ -181,7 +193,7 @@ def export_model(
             details = {
                 ", integral": loop.Ki.any(),
                 ", gravity feed-forward": loop.gravity == "measured",
-                "; forcerange limits each of a motor's two, not their sum": loop.feedforward
+                "; forcerange limits each actuator of a motor, not their sum": loop.feedforward
                 and any(np.isfinite(loop.saturation)),
             }
             notes += (
@@ -198,7 +210,7 @@ def export_model(
 def _make_section(
     m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]
 ) -> Section:
-    """Make the section of a format's losses for each joint."""
+    """Make the section of a format, with its losses for each joint."""
     if not losses:
         return Section(title=f"{title}: complete", lines=notes)
     robot = m.model.robot
@@ -216,10 +228,10 @@ def _make_section(
     heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
     return Section(
         title=title,
-        table=Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows)),
+        table=Table(columns=heads + columns("unit", numbers=("relative, %",)), rows=tuple(rows)),
         lines=(
-            f"missing torque at {STATES} random states within the description's limits; in %: "
-            "of the whole torque",
+            f"missing torque at {STATES} random states within the limits of the description, also "
+            "relative to the whole torque",
             *notes,
         ),
     )
@@ -228,9 +240,9 @@ def _make_section(
 def _make_toml(
     m: ExportedModel, toml: Path, urdf: Path | None, source: str
 ) -> tuple[str, tuple[str, ...]]:
-    """Return the fit's robot.toml with the values and the URDF written with it.
+    """Return the fit's robot.toml with the values, and lines on files that it lacks.
 
-    Lines name files that it refers to but that are missing.
+    It refers to the URDF that is written with it.
     """
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
     values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
@@ -242,7 +254,7 @@ def _make_toml(
     missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
     remark = f"Physically consistent values identified in {one_line(source)}."
     return replace_parameters(text, values, remark, named), tuple(
-        f"it names {name}, which is missing in its folder: copy it there" for name in missing
+        f"it refers to {name}, which is not in its folder: copy it there" for name in missing
     )
 
 
@@ -251,11 +263,11 @@ def replace_in_tables(
 ) -> str:
     """Return a description with these values, by key, in the [[kind]] tables of these names.
 
-    A key for None becomes a comment.
+    A key with the value None becomes a comment.
     """
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
-    # headers and what follows them
+    # Each header is followed by the lines of its table.
     for own, header, table in zip(now[kind], tables[::2], tables[1::2], strict=False):
         for key, value in values.get(own["name"], {}).items():
             written.add(own["name"])
@@ -268,7 +280,8 @@ def replace_in_tables(
                 continue
             own[key], shown = value, json.dumps(value)
             table, found = line.subn(rf"\g<1>{shown}\g<2>", table, count=1)
-            if not found:  # after the first key
+            # A new key goes after the first one.
+            if not found:
                 table = re.sub(r"^\n[^\n]*", rf"\g<0>\n{key} = {shown}", table)
         made += header + table
     made = made if written == values.keys() else ""
@@ -277,11 +290,13 @@ def replace_in_tables(
 
 
 def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout: str) -> str:
-    """Check that an edited description, `made`, holds the values `now`; `key` is what was edited.
+    """Check that an edited description, `made`, holds the values `now`; return it.
+
+    `key` is what was edited.
 
     Raises
     ------
-    BadInputError : its lines do not have this `layout`.
+    BadInputError : the lines do not have this `layout`.
     """
     with suppress(tomllib.TOMLDecodeError):
         if tomllib.loads(made) == now:
@@ -292,11 +307,10 @@ def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout
 def replace_parameters(
     text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
 ) -> str:
-    """Replace the values (SI) of `[parameters]` in a description, or append the table; all other
-    lines stay.
+    """Replace the values (SI) of `[parameters]` in a description, or append the table.
 
-    The remark, on the origin of the values, replaces the remarks directly above the table; the name
-    `urdf` replaces the URDF's.
+    All other lines stay, except for the remarks directly above the table, which `remark` on the
+    origin of the values replaces, and the name of the URDF, which `urdf` replaces.
 
     Raises
     ------
@@ -314,7 +328,8 @@ def replace_parameters(
         )
         stop = next(headers, len(lines))
         while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
-            stop -= 1  # blank lines and remarks above the next table belong to that table
+            # Blank lines and remarks above the next table belong to that table.
+            stop -= 1
         while start and lines[start - 1].lstrip().startswith("#"):
             start -= 1
         before, after = lines[:start], lines[stop:]
@@ -338,8 +353,7 @@ def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
     """Return the fit with its findings in its description, and lines on them.
 
     Findings are its drive gains, and the control law of its recording if none is given. A gain that
-    is not well determined is left as given; without a given one it is written with its wide
-    interval.
+    is not well determined stays as given; without a given one it is written with its wide interval.
 
     Raises
     ------
@@ -360,14 +374,15 @@ def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
     if text and law is not None and law.controller is not None:
         keys = {key: value for key, value in law.controller.items() if key not in described}
         table = "".join(f"\n{key} = {json.dumps(value)}" for key, value in keys.items())
-        header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"  # also above nothing but remarks
+        # The table may have only remarks, which the parser does not show.
+        header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"
         made, found = re.subn(header, rf"\g<0>{table}", text, count=1)
         text = checked_toml(
             made if found else f"{text}\n[controller]{table}\n",
             whole | {"controller": described | keys},
             place,
             "[controller]",
-            "a line [controller], then a line per key",
+            "a line [controller], then one line per key",
         )
         lines.append(f"control law of the recording: {law.structure}")
     if lines:
@@ -381,9 +396,9 @@ def _keys(gain: DriveGain) -> dict[str, object]:
 
 
 def _gain_line(gain: DriveGain, *, written: bool) -> str:
-    done = "as identified" if written else "as described"
+    done = "as identified" if written else "as given"
     if not gain.determined:
-        done += ", since none is described" * (gain.described is None) + "; not determined"
+        done += ", since none is given" * (gain.described is None) + "; not well determined"
     return (
         f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} {gain.unit}"
     )

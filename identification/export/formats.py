@@ -1,11 +1,10 @@
-"""Write a model as a URDF (the user's own with new values, or a new one made of DH rows)
-and as a MuJoCo model.
+"""Write a model as a URDF (the user's own with new values, or a new one) and as a MuJoCo model.
 
-An identified link is lumped: the link that a joint moves, with all links fixed to it or carried by
-locked joints. In the user's URDF the lumped inertia minus the other links' inertials is written to
-the moved link if it is a physical body; else the moved link gets the lumped inertia, and the others
-lose their inertials. Quotes and blanks may change. In a MuJoCo model, which has no shapes, a motor
-that turns with several joints is a fixed tendon (its armature: MuJoCo 3.3 and later).
+An identified link is lumped: it is the link that a joint moves, with all links fixed to it or
+carried by locked joints. In the user's URDF the moved link gets the lumped inertia minus the
+inertials of the other links, if that is a rigid body; else it gets the lumped inertia, and the
+others lose their inertials. Quotes and blanks may change. In a MuJoCo model, which has no shapes, a
+motor that turns with several joints is a fixed tendon (its armature needs MuJoCo 3.3 or later).
 """
 
 import math
@@ -27,16 +26,17 @@ from ..model import InverseModel, is_a_body
 from .chain import INERTIA
 from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
-UNLIMITED = 1e9  # effort and velocity, which a URDF must have, if the description has none
+UNLIMITED = 1e9  # effort and velocity, which a URDF needs, if the description gives none
 _THICKNESS = 0.02  # of drawn links, m
-# m, of a box at the end of a link: unequal, so that any rotation is visible
+# Sides of a box at the end of a link, m; unequal, so that every rotation is visible.
 _TIP = "0.12 0.08 0.04"
 _MUJOCO = [0, 3, 5, 1, 2, 4]  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
-    """Return names of the links that the joints move: those of the URDF, or `link_1`, ... of a new
-    one.
+    """Return names of the links that the joints move.
+
+    They are those of the URDF, or `link_1`, ... of a new one.
     """
     if robot.urdf is None:
         return tuple(f"link_{j + 1}" for j in range(robot.n))
@@ -57,8 +57,9 @@ def _element(tag: str, attributes: dict[str, str], *children: ET.Element) -> ET.
 
 
 def mjcf_text(m: ExportedModel) -> str:
-    """Return the MJCF of a model, without offsets, and without friction that is neither viscous nor
-    dry.
+    """Return the MJCF of a model.
+
+    It has no offsets, and only viscous and Coulomb friction.
     """
     robot, loop = m.model.robot, servo_loop(m)
     values = [
@@ -127,9 +128,9 @@ def _world(m: ExportedModel, values: Sequence[dict[str, str]]) -> ET.Element:
 
 
 def servo_loop(m: ExportedModel) -> ControlLaw | None:
-    """Return the loop of `[controller]` that actuators can have.
+    """Return the control law of `[controller]` that actuators can have, or None.
 
-    It is a loop of motors' positions, each a joint's or a tendon's of the model.
+    It acts on positions of motors, each of which is a joint or a tendon of the model.
     """
     robot = m.model.robot
     several = {
@@ -143,10 +144,9 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
 
 
 def _servos(m: ExportedModel, loop: ControlLaw) -> Iterator[ET.Element]:
-    """Return actuators of the motors' angles, kp = Kp R² G in N m per rad of the joint, or of the
-    tendon.
+    """Yield actuators of the motors, with kp = Kp R² G in N m per rad of the joint or tendon.
 
-    A second actuator is for speeds.
+    A second actuator per motor follows the speed.
     """
     robot, several = m.model.robot, m.names[m.model.robot.n :]
     for j, motor in enumerate(robot.motors):
@@ -173,9 +173,9 @@ def quaternion(R: Array) -> Array:
 
 
 def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
-    """Return the URDF of a model without armatures and couplings, and lines on losses.
+    """Return the URDF of a model, and lines on changed links and unknown limits.
 
-    The lines name other links that changed, and unknown limits.
+    A URDF has no armatures and couplings.
     """
     robot = m.model.robot
     document = minidom.parseString(
@@ -199,9 +199,9 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
             notes.append(f"link {name}: {', '.join(inertials)}, fixed to it, keep their inertials")
         elif inertials:
             notes.append(
-                f"link {name}: minus the inertials of {', '.join(inertials)} "
-                f"({sum(x[9] for _, x in inertials.values()):.3g} kg), fixed to it, "
-                "it is no physical body: they are removed, it has the lumped inertia"
+                f"link {name}: without the inertials of {', '.join(inertials)} "
+                f"({sum(x[9] for _, x in inertials.values()):.3g} kg), fixed to it, the rest is "
+                "not a rigid body, so they are removed and the link has the lumped inertia"
             )
             rest = m.links[j]
             for other, (inertial, _) in inertials.items():
@@ -215,13 +215,13 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
                 for key, value in {"damping": m.damping[j], "friction": m.frictionloss[j]}.items()
             },
         )
-    # comments may precede and follow the root
+    # Comments may precede and follow the root element.
     lines = [node.toxml() for node in document.childNodes]
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
 
 
 def _set_inertial(link: Element, parameters: Array) -> None:
-    """Write ten parameters about the link's origin as its inertial."""
+    """Write the parameters (10,) of a link as its inertial."""
     mass, com, about = about_com(parameters)
     inertial = _set(link, "inertial", {})
     inertial.childNodes.clear()
@@ -262,7 +262,7 @@ def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
 
 
 def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
-    """Return lines on limits of a new URDF that are unknown."""
+    """Yield lines on limits of a new URDF that are unknown."""
     for key, keys in (
         ("effort", "effort_nm, effort_n or saturation"),
         ("velocity", "speed_deg_s or speed_m_s"),
@@ -273,15 +273,13 @@ def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
             if _attribute(joint, "limit", key) == format_numbers(UNLIMITED)
         ]
         if names:
-            yield (f"unknown {key} of {listed(names)}: written as {UNLIMITED:g}; state {keys}")
+            yield f"unknown {key} of {listed(names)} is written as {UNLIMITED:g}: give {keys}"
 
 
 def _find_lumped(
     moved: set[str], joints: dict[str, Element], links: dict[str, Element]
 ) -> dict[str, tuple[str, Array]]:
-    """Find the link that carries each link fixed to another one, and its frame in that link's
-    frame, T (4, 4).
-    """
+    """Find the link that carries each fixed link, and the fixed link's frame in it, (4, 4)."""
     above = {
         _attribute(joint, "child", "link"): (_attribute(joint, "parent", "link"), _pose(joint))
         for name, joint in joints.items()
@@ -311,7 +309,7 @@ def _pose(element: Element) -> Array:
 
 
 def _read_inertia(inertial: Element, T: Array) -> Array:
-    """Return ten parameters (10,) of an inertial in a frame where its link's frame is T (4, 4)."""
+    """Return the parameters (10,) of an inertial; T (4, 4) is its link's frame in theirs."""
     about = [float(_attribute(inertial, "inertia", key) or 0.0) for key in INERTIA]
     mass, T = float(_attribute(inertial, "mass", "value") or 0.0), T @ _pose(inertial)
     return link_parameters(T @ pseudo_inertia(np.array([*about, 0.0, 0.0, 0.0, mass])) @ T.T)
@@ -329,7 +327,7 @@ def make_urdf(model: InverseModel) -> str:
     for k, name in enumerate(names):
         ends = [x for x, parent in zip(origins, model.parents, strict=True) if parent == k]
         root.append(_element("link", {"name": name}, *map(_drawn, ends or [np.zeros(3)])))
-    # N m or N
+    # Limits in A or V cannot be written, as a URDF has N m or N.
     efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     for j, joint in enumerate(robot.joints):
         limits = joint.si("position")
@@ -359,15 +357,16 @@ def make_urdf(model: InverseModel) -> str:
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Return the angles of a rotation (3, 3) in a URDF, also at a pitch of 90°."""
+    """Return the angles of a rotation (3, 3) in a URDF, rad, also at a pitch of 90°."""
     yaw, pitch = math.atan2(R[1, 0], R[0, 0]), math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
     return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
 
 
 def _drawn(end: Array) -> ET.Element:
-    """Return a cylinder from the link's origin to the next joint, `end` (3,), or a box if `end` is
-    the origin.
+    """Return a cylinder from the link's origin to the next joint at `end` (3,).
+
+    If `end` is the origin, it is a box.
     """
     length = float(np.linalg.norm(end))
     if length <= 1e-6:

@@ -482,7 +482,7 @@ def test_no_inertials_no_a_priori_values(here, capsys, text, why):
     (here / "arm.urdf").write_text(text)
     status, out, err = run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")
     assert (status, err) == (0, "")
-    note = f"note: no [parameters], which a simulation needs and a fit does not: {why}"
+    note = f"note: no [parameters], which simulations need and fits do not: {why}"
     for written in (out, (here / "robot.toml").read_text()):
         (line,) = (one for one in written.splitlines() if "[parameters]" in one)
         assert line.removeprefix("# ").startswith(note)
@@ -541,7 +541,7 @@ LOCKED = (
     [
         (
             {"arm": link("arm", inertia=FLAT)}, [],  # used as they are
-            ["# note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one "
+            ["# note: link arm has impossible principal moments 0.02, 0.03, 0.06 kg m²: one "
              "exceeds the sum of the others"],
         ),
         (
