@@ -57,7 +57,7 @@ class Numbers(NamedTuple):
     """
 
     own: Callable[[Array], Any]  # an array as such a number
-    each: Callable[[Array], Any]  # the same of rows (N, n), to be taken one by one
+    each: Callable[[Array], Any]  # rows (N, n) as a sequence of such numbers
     dot: Callable[[Any, Any], Any]
     reverses: Callable[[Any, Any], bool]  # True if any of A x is negative
     within: Callable[[Any, Any], Any]  # a vector, limited on both sides
@@ -267,7 +267,11 @@ def default_law(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
 
         Kp = J w²,     Kd = 2 zeta w J,     w = 2 pi bandwidth,     zeta = 0.8
 
-    `J` (n,) are the inertias of the joints, kg m² or kg.
+    Parameters
+    ----------
+    bandwidth_hz : bandwidth of the position loop, Hz.
+    J : (n,) inertias of the joints, kg m² or kg.
+    rate_hz : rate at which it acts, Hz.
     """
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return ControlLaw(

@@ -236,7 +236,7 @@ def _path(c: Array, places: Ints, rate_hz: float) -> Path:
     `places` are counted in its samples.
     """
 
-    @lru_cache(_REMEMBERED)  # structures and steps share most of their lags and delays
+    @lru_cache(_REMEMBERED)  # structures and steps share most of their delays
     def path(late_s: float) -> Array:
         whole, part = divmod(-late_s * rate_hz, 1.0)
         return on_spline(places + int(whole), np.asarray(part), c).T

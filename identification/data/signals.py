@@ -182,11 +182,23 @@ def signals_from_arrays(
     q_ref: ArrayLike | None = None,
     **columns: Unpack[OptionalColumns],
 ) -> Signals:
-    """Make signals from arrays (N, n), which are copied, those of `OPTIONAL` too.
+    """Make signals from arrays, which are copied.
 
-    Arguments and errors are those of `identification.fit`. If a log is faster than its robot, only
-    the new rows are taken, with a warning in `events`. There is another warning if a velocity
-    differs by more than 10 % from the derivative of q.
+    If rows are repeated because a log is faster than its robot, only the new rows are used, with a
+    warning in `events`. There is another warning if a velocity differs by more than 10 % from the
+    derivative of q.
+
+    Parameters
+    ----------
+    q, effort : (N, n) positions, rad or m, and torques, N m or N; A or V without a drive gain.
+    sample_rate_hz : sample rate, Hz.
+    robot : the robot.
+    q_ref : (N, n) reference positions, rad or m; None for none.
+    columns : (N, n) further arrays by their names in `OPTIONAL`.
+
+    Raises
+    ------
+    BadInputError : as in `identification.fit`.
     """
     from acquisition.importing import grid_of_new_rows
 

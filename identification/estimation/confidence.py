@@ -208,9 +208,14 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 def covariance_of_all(
     names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate
 ) -> Array:
-    """Return C = D R D (b, b) of base parameters by their `names`.
+    """Return C = D R D (b, b) of base parameters by their names.
 
-    Parameters that are not in the estimate have the classical standard errors of `full`.
+    Parameters
+    ----------
+    names : (b,) base parameters.
+    estimate : estimate of some of them.
+    intervals : intervals of the estimate.
+    full : least squares of all, whose classical standard errors the others have.
     """
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
@@ -223,7 +228,11 @@ def covariance_of_all(
 def changes_of(system: System, columns: Array, estimate: Estimate) -> Array:
     """Return d beta / d a (b, K) for K values a that the estimate holds: bread Q' C.
 
-    C (r, K) is the torque per unit of each value, in `columns`.
+    Parameters
+    ----------
+    system : the rows of the estimate.
+    columns : (r, K) torque C per unit of each value, not weighted.
+    estimate : with its weights and factors.
     """
     return np.asarray(
         estimate.bread @ (estimate.Q.T @ (columns * estimate.weights[system.joint_of_row][:, None]))

@@ -136,8 +136,15 @@ def f_test(
 ) -> FTest:
     """Test F for `dropped` of b parameters, also corrected for correlated residuals.
 
-    With the autocorrelation c at one row, the correction counts the share (1 - c)/(1 + c) of the
-    rows as independent, and all of them for a negative c.
+    Parameters
+    ----------
+    names : parameters that are kept.
+    F : F statistic.
+    dropped : number of dropped parameters.
+    rows : number of used rows.
+    b : number of all parameters.
+    correlation : autocorrelation c of the residual at one row. The correction counts the share (1 -
+        c)/(1 + c) of the rows as independent, and all of them for a negative c.
     """
     c = max(0.0, correlation)
     share = (1.0 - c) / (1.0 + c)

@@ -261,9 +261,18 @@ def _make_toml(
 def replace_in_tables(
     text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str
 ) -> str:
-    """Return a description with these values, by key, in the [[kind]] tables of these names.
+    """Return a description with new values in its tables of a kind.
 
-    A key with the value None becomes a comment.
+    Parameters
+    ----------
+    text : the description.
+    kind : name of the tables, [[kind]].
+    values : values by key, by the name in the table; a key with the value None becomes a comment.
+    place : name of the description, for errors.
+
+    Raises
+    ------
+    BadInputError : the tables cannot be replaced line by line.
     """
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
@@ -307,10 +316,16 @@ def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout
 def replace_parameters(
     text: str, values: Mapping[str, float], remark: str, urdf: str | None = None
 ) -> str:
-    """Replace the values (SI) of `[parameters]` in a description, or append the table.
+    """Replace the values of `[parameters]` in a description, or append the table.
 
-    All other lines stay, except for the remarks directly above the table, which `remark` on the
-    origin of the values replaces, and the name of the URDF, which `urdf` replaces.
+    All other lines stay, except for remarks directly above the table.
+
+    Parameters
+    ----------
+    text : the description.
+    values : values by name, SI.
+    remark : origin of the values, which replaces the remarks above the table.
+    urdf : name of the URDF; None to keep it.
 
     Raises
     ------

@@ -319,9 +319,9 @@ def tests_of(one: Pass) -> tuple[float, float]:
 def inertia_prior(model: Model, x: Array) -> Array:
     """Return x (p,) whose inertias are the a priori inertias of equation (E).
 
-    The controller gains are assumed to be set for them. They are from least squares behind a
-    low-pass, because inertias are poorly determined without one; if the fit has none, the low-pass
-    of torque errors serves.
+    The controller gains are assumed to be set for them. They follow from least squares after a
+    low-pass, because their estimates are poor without one. A fit without low-pass uses that of
+    torque errors.
     """
     # The low-pass of errors may leave too few rows: then x itself has to do.
     with suppress(NoFitError):

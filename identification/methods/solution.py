@@ -183,7 +183,7 @@ def solution_by_instruments(
     loop : the prepared iterations.
     concluded : the iteration, and the robot simulated with its estimate, by recording.
     passes : all iterations, beginning with least squares, without rows.
-    ended : status and reason, as of `status_of`.
+    ended : status and reason, as returned by `status_of`.
     tests : strength and first-stage F of the instruments.
     """
     (best, confirmed), model = concluded, loop.model

@@ -202,7 +202,7 @@ def solution_of(model: Model, found: Pass, *, essential: bool) -> tuple[Pass, Pa
 
 
 def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
-    """Refuse recordings whose known torques the parameters of the robot could explain.
+    """Refuse recordings whose given payloads and torques the robot's parameters could explain.
 
     Without a torque outside the span of the arm's columns, all parameters and drive gains may be
     scaled by a common factor. `arm` are the places of the arm's parameters in x.

@@ -387,8 +387,15 @@ def torque_without_sliding(
 ) -> tuple[Array, Array]:
     """Return the torque (N, n) without friction that has a sign, and its derivatives.
 
-    The derivatives are (3, N, n, n) by q, dq, ddq; the motion is (N, n) each; `of_links` is as
-    returned by `torque_of_links`.
+    Parameters
+    ----------
+    model : equation of motion.
+    motion : q, dq, ddq, (N, n) each.
+    of_links : torque of the links and its derivatives, as returned by `torque_of_links`.
+
+    Returns
+    -------
+    The torque (N, n), N m or N, and its derivatives (3, N, n, n) by q, dq, ddq (last axis).
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down

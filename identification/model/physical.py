@@ -77,8 +77,13 @@ def friction_alone(idm: InverseModel, columns: Ints, j: int, v: Array, load: Arr
 def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
     """Return speeds and loads (m, n) at which the power of further friction terms is checked.
 
-    They follow from those of some rows (k, n): joints that share motors move together as recorded,
-    and each joint alone.
+    Joints that share motors move together as recorded, and each joint alone.
+
+    Parameters
+    ----------
+    idm : the robot.
+    dq : (k, n) speeds at some rows, rad/s or m/s.
+    load : (k, n) absolute torques of the links at them, N m or N.
     """
     moving = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0)
     found = [(dq[:0], load[:0])]

@@ -374,7 +374,14 @@ def predicted_torque(
 
         IDM(q, dq, ddq) beta
 
-    It is not decimated. `beta` is (..., b); the torque of links is computed as in `smooth`.
+    It is not decimated.
+
+    Parameters
+    ----------
+    motion : q, dq, ddq, (N, n) each.
+    dynamics, base : the robot and its b base parameters.
+    beta : (..., b) their values.
+    stride : samples from one to the next at which the torque of links is computed, as in `smooth`.
     """
     models = [direct_model_of_base(dynamics, base, one) for one in beta.reshape(-1, base.b)]
     links, gravity = np.array([one.links for one in models]), dynamics.model.gravity.linear

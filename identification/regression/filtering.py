@@ -32,7 +32,13 @@ _IN_CACHE = 120_000
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Filter x along axis 0 (time) by equation (A): Butterworth of order 4, both directions.
 
-    `cutoff_hz` is the -3 dB frequency of one direction.
+        q^ = |H(w)|² q                                                                   (A)
+
+    Parameters
+    ----------
+    x : (N, n) samples.
+    cutoff_hz : -3 dB frequency of one direction, Hz.
+    sample_rate_hz : sample rate, Hz.
 
     Raises
     ------

@@ -138,9 +138,13 @@ def sampled_at(at: Array, x: Array) -> Array:
 
 
 def on_spline(i: Ints, u: Array, c: Array) -> Array:
-    """Evaluate the cubic spline of coefficients c (N + 3, n) after the samples i (K,).
+    """Evaluate a cubic spline.
 
-    u, () or (K, 1), is the place from 0 to 1 after each.
+    Parameters
+    ----------
+    i : (K,) samples before the places.
+    u : () or (K, 1) places after these samples, 0 to 1.
+    c : (N + 3, n) coefficients, as returned by `spline_coefficients`.
     """
     return np.asarray(sum(w * c.take(i + k, axis=0) for k, w in enumerate(_spline_weights(u))))
 
@@ -174,7 +178,11 @@ def spline_coefficients(x: Array) -> Array:
 def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
     """Compute f(q, dq, ddq) (N, ...) at every `stride`-th sample, on a cubic spline between them.
 
-    The motion must be smooth, that is, low-passed.
+    Parameters
+    ----------
+    f : function of q, dq, ddq (K, n).
+    motion : a smooth, that is, low-passed motion of N samples.
+    stride : samples from one evaluation to the next.
     """
     stride = max(1, stride)
     last = (len(motion.q) - 1) // stride * stride
@@ -193,10 +201,16 @@ def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
 def motion_between(
     q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
 ) -> Motion:
-    """Return the filtered motion of the samples `start` to `stop` of q, tau (N, n).
+    """Return the filtered motion of some samples.
 
-    There is no low-pass if `cutoff_hz` is None. Only the samples that affect the range are
-    filtered, so blocks give the same result as the whole.
+    Only the samples that affect them are filtered, so blocks give the same result as the whole.
+
+    Parameters
+    ----------
+    q, tau : (N, n) positions, rad or m, and torques, N m or N.
+    cutoff_hz : cut-off of the low-pass, Hz; None for no low-pass.
+    sample_rate_hz : sample rate, Hz.
+    start, stop : first sample, and the one after the last.
     """
     margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)

@@ -103,7 +103,7 @@ class Equation:
         return self.arm, self.drives, *self.load, *self.stated
 
     def residual(self, x: Array, motion: MotionBlock) -> Array:
-        """Return r(x) (n, rows), equation (C): the known torque that no term explains at x (p,)."""
+        """Return r(x) (n, rows), equation (C): the external torque that no term explains."""
         explained = sum(term.torque(x, motion) for term in self.terms)
         return np.asarray(motion.weighted(motion.known_torque.T) - explained)
 

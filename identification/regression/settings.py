@@ -226,7 +226,7 @@ def make_settings(
     )
     # Wrong positions are refused first, because they also make filters and time range fail.
     positions = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
-    # 0 is no low-pass, None that of the rule.
+    # 0 means no low-pass, None the one of the rule.
     stated_hz = stored.cutoff_hz if overrides.cutoff_hz is None else overrides.cutoff_hz
     cutoff_hz = _cutoff_hz(signals, stated_hz)
     decimator = Decimation(

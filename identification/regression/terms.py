@@ -1,4 +1,4 @@
-"""The model as a sum of terms, equation (C): known torque = sum of the torques of all terms + r.
+"""The model as a sum of terms, equation (C): external torque = sum of the terms + r.
 
 Each term has two functions of a motion, measured or simulated: `torque`, the torque (n, rows) that
 it explains, and `columns` (n, p, rows), the derivatives of that torque by the unknowns x (p,). Both
