@@ -1,7 +1,7 @@
 """The bus as frames and times, and the CANopen master on it.
 
-It owns the link to an adapter, requests and answers, listening, the heartbeat, what is checked
-before motion, and the one stop of all drives, with the package can. It may use `recording`,
+This subpackage owns the link to an adapter (with python-can), SDO requests and answers, listening,
+the heartbeat, the checks before motion, and the only stop of all drives. It may use `recording`,
 `robot`, `protocol` and `files`.
 """
 

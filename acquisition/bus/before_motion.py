@@ -1,9 +1,10 @@
-"""What listens and reads before a drive is commanded: whether another master is there, a drive is
-enabled or not homed, and where the joints are, to be confirmed; and a scan of the nodes of an
-unknown bus, over a link that can send nothing but SDO reads.
+"""Checks that only listen and read, before a drive is commanded; and the scan of an unknown bus.
 
-Before homing, the zero of an incremental encoder is the position at which it was switched on:
-position limits do not hold yet.
+The checks find another master, and drives that are enabled or not homed. They read the joint
+positions, which the operator confirms. The scan uses a link that can send only SDO reads.
+
+Before homing, the zero of an incremental encoder is the position at which it was switched on.
+Position limits do not hold yet then.
 """
 
 from collections import deque
@@ -25,10 +26,17 @@ LISTEN_S = 0.5
 
 
 def listen_for_others(master: Master) -> RefusedError | None:
-    """Listen for half a second; return the error for another master, or for a device that is not
-    described.
+    """Listen for half a second for another master and for devices that are not described.
 
     Nothing is sent.
+
+    Parameters
+    ----------
+    master : its link is read.
+
+    Returns
+    -------
+    The error to raise, preferably that of another master. None if nothing was heard.
     """
     device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
     while master.link.now_ns() < until_ns:
@@ -60,11 +68,14 @@ def listen_for_others(master: Master) -> RefusedError | None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Return the nodes in fault, found by reading only.
+    """Check that no drive is enabled, and return the node ids of drives in fault.
+
+    Drives are only read.
 
     Raises
     ------
-    RefusedError : a drive is enabled, or two are one node.
+    RefusedError : a drive is enabled, or two devices have the same node id.
+    BusFaultError : a drive does not answer.
     """
     in_fault = []
     for drive in master.bus.drives:
@@ -78,24 +89,24 @@ def refuse_enabled(master: Master) -> list[int]:
             )
         if state is cia.State.FAULT:
             in_fault.append(drive.node)
-    # for a second device's answer to the last request
+    # A second device with this node id may answer later.
     master.wait(master.link.now_ns() + 30_000_000)
     master.refuse_doubled()
     return in_fault
 
 
 ERROR_REGISTER, ERROR_FIELD, ERROR_CODE = 0x1001, 0x1003, 0x603F
-# Shows joint positions, and drives in fault that would be reset, to the operator; True
-# where both are confirmed.
+# Shows joint positions, and the faults that would be reset, to the operator. Returns True if both
+# are confirmed.
 Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Return joint positions (n,) in rad or m, read by SDO.
+    """Read the joint positions (n,) by SDO, in rad or m.
 
     Raises
     ------
-    RefusedError : a drive does not answer.
+    BusFaultError : a drive refuses to answer, or does not answer.
     """
     return joints_of(
         robot,
@@ -108,8 +119,17 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 
 
 def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
-    """Return joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the
-    drives.
+    """Convert counts of the drives to joint positions.
+
+    Parameters
+    ----------
+    robot : converts motor positions to joint positions.
+    bus : has the drives with their codecs.
+    counts : (n,) position counts, in the order of the drives.
+
+    Returns
+    -------
+    Joint positions (n,) in rad or m.
     """
     motors = [
         drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)
@@ -118,7 +138,7 @@ def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
 
 
 def position_words(robot: Robot, q: Array) -> list[str]:
-    """Return one text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
+    """Return a text for each joint from positions `q` (n,) in rad or m: `joint_1 = 12.34 deg`."""
     return [
         f"{joint.name} = {value:.5f} m"
         if joint.type == "prismatic"
@@ -128,8 +148,16 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def is_homed(master: Master, drive: Drive) -> bool | None:
-    """Test whether the drive's object or bit named by `homed` is set; None if the description names
-    none.
+    """Read whether a drive is homed.
+
+    Returns
+    -------
+    True if the object or bit `homed` of the description is set; None if the description has no
+    `homed`.
+
+    Raises
+    ------
+    BusFaultError : the drive refuses to answer, or does not answer.
     """
     if drive.file.homed is None:
         return None
@@ -141,18 +169,24 @@ def is_homed(master: Master, drive: Drive) -> bool | None:
 def confirm_motion(
     robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False
 ) -> list[str]:
-    """Refuse drives that are not homed, then ask the operator about joint positions and drives in
-    fault.
+    """Check that the drives are homed, then ask the operator to confirm positions and faults.
 
-    With `reset_faults` drives in fault are reset without asking.
+    Parameters
+    ----------
+    robot : has the joints whose positions are shown.
+    master : reads the drives.
+    confirm : shows the joint positions and the faults that would be reset, and returns True if the
+        operator confirms them.
+    reset_faults : True to reset faults without asking.
 
     Returns
     -------
-    The confirmed texts, one for each joint and drive in fault: `joint_1 = 12.34 deg`.
+    The confirmed texts, one for each joint and each drive in fault: `joint_1 = 12.34 deg`.
 
     Raises
     ------
-    RefusedError : not homed, no answer, or not confirmed.
+    RefusedError : a drive is not homed, or the operator does not confirm.
+    BusFaultError : a drive does not answer.
     """
     for drive in master.bus.drives:
         if is_homed(master, drive) is False:
@@ -187,9 +221,11 @@ def confirm_motion(
 
 
 def error_report(master: Master, drive: Drive) -> str:
-    """Return error register (1001h), last error (1003h:1) and error code (603Fh) in one line.
+    """Read error register (1001h), last error (1003h:1) and error code (603Fh) of a drive.
 
-    The line is empty if a drive has none of them.
+    Returns
+    -------
+    One line; empty if the drive has none of these objects.
     """
     values = []
     for index, sub, name in (
@@ -200,7 +236,8 @@ def error_report(master: Master, drive: Drive) -> str:
         try:
             value = master.read(drive.node, index, sub)
         except (NoAnswerError, SdoAbortedError):
-            continue  # many drives lack one of them
+            # Many drives lack one of these objects.
+            continue
         values.append(
             f"{name} = "
             + (f"0x{value:02X}" if index == ERROR_REGISTER else cia.error_words(value & 0xFFFF))
@@ -208,16 +245,22 @@ def error_report(master: Master, drive: Drive) -> str:
     return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""
 
 
+# Requests are spaced, so that a scan takes little of the bus from other nodes.
 REQUEST_INTERVAL_NS = 1_000_000
-# a server may abort the upload before, which was too long for one frame, in place of an answer
+# Instead of answering, a server may abort the upload before, which was too long for one frame.
 TRIES = 2
-MAX_UNANSWERED = 2  # objects in a row; then a node is asked for nothing more
+# A node that leaves as many objects in a row unanswered is not asked any more.
+MAX_UNANSWERED = 2
 MAX_ENTRIES = 8  # of an array
 
 
 class Reading(NamedTuple):
-    """The value (or text) of an object, and what is wrong with the answer: none, an abort, another
-    size; else empty.
+    """The answer to an SDO read.
+
+    Attributes:
+        value: raw integer; None without an answer, and for texts.
+        problem: what is wrong with the answer (missing, aborted, of another size); else empty.
+        text: value of an object of `TEXTS`.
     """
 
     value: int | None
@@ -230,10 +273,15 @@ Readings = dict[tuple[int, int], Reading]  # by index and sub-index
 
 
 class Uploads:
-    """A link that sends SDO read requests only.
+    """A link that can send only SDO read requests.
 
-    From the first frame of another master or error frame on it sends nothing. `heard`: the services
-    received, by node. `say` is called with the node of each request.
+    Once it has received an error frame, or a frame of another master, it sends nothing any more.
+
+    Attributes:
+        bus: the bus, without drives.
+        heard: services received, by node id.
+
+    `say` is called with a text before each request.
     """
 
     def __init__(
@@ -248,13 +296,19 @@ class Uploads:
         return self._link.now_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a read request, a millisecond after the last one and after a look at all
-        frames received until then.
+        """Send a read request, at least a millisecond after the last one.
+
+        All frames received until then are checked first.
+
+        Raises
+        ------
+        RefusedError : a received frame is not allowed, or the request is not a read.
         """
         while (frame := self._link.receive(self._next_ns)) is not None:
             self._received.append(self._checked(frame))
         is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
-        is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
+        # The next segment of an upload is a read, too.
+        is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)
         if not cia.REQUEST < can_id <= cia.REQUEST + 127 or not is_read:
             self._refusal = f"frame 0x{can_id:03X} is not an SDO read"
         self._refuse()
@@ -263,7 +317,7 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """Return the next frame.
+        """Return the next frame; None if there is none until `until_ns`.
 
         Raises
         ------
@@ -300,8 +354,22 @@ class Uploads:
 def scan_nodes(
     uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]
 ) -> dict[int, Readings]:
-    """Listen, find the nodes that answer 1000h, and read `objects` and the
-    entries of `arrays` of each.
+    """Listen, then read objects of all nodes that answer.
+
+    Parameters
+    ----------
+    uploads : the link to the bus.
+    objects : index and sub-index of the objects to read.
+    arrays : indices of arrays, of which all entries are read (at most 8).
+
+    Returns
+    -------
+    The readings of each node, by node id.
+
+    Raises
+    ------
+    RefusedError : another master or an error frame was received, or two devices have the same node
+        id.
     """
     master, request = Master(uploads, uploads.bus), cia.read_request(cia.DEVICE_TYPE, 0)
     master.wait(uploads.now_ns() + round(LISTEN_S * 1e9))
@@ -327,20 +395,35 @@ def _read_node(
 
 
 def upload_segments(master: Master, node: int, index: int) -> cia.Transfer:
-    """Return the value whose upload has begun with an answer of kind `other`, or an abort.
+    """Continue an upload whose first answer was of kind `other`, in segments.
 
-    It raises as `Master.upload`.
+    Parameters
+    ----------
+    master : exchanges the requests.
+    node : node id.
+    index : the object, for the result.
+
+    Returns
+    -------
+    The value, or an abort.
+
+    Raises
+    ------
+    NoAnswerError : the node does not answer.
     """
     data = b""
-    for k in range(64):  # 448 bytes
-        request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
+    # 64 segments hold 448 bytes, more than the names and versions of devices have.
+    for k in range(64):
+        # The toggle bit alternates, so that a segment that is sent twice is noticed.
+        request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")
         answer = master.exchange(node, request, f"node {node}")
         if answer[0] >> 5:
             return cia.answer_of(answer)
         master.unanswered[node] -= 1
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
         if answer[0] & 1:
-            master.unanswered[node] -= 1  # the request that began it
+            # The request that began the upload is answered now, too.
+            master.unanswered[node] -= 1
             break
     return cia.Transfer(kind="value", index=index, data=data)
 

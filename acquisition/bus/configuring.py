@@ -1,8 +1,7 @@
-"""What a session needs of each drive: objects that are read, compared, and written where they
-differ.
+"""The objects of each drive that a session needs: read, compared, and written where they differ.
 
-There is one list for a session, which writes, and for `check`, which only reads. Everything is
-read before anything is written, so that a refusal leaves the drives as they are.
+A session and `check` use the same list, but `check` only reads. Everything is read before anything
+is written, so that a refusal leaves the drives as they are.
 """
 
 import math
@@ -17,11 +16,14 @@ from .supervision import read_if_there, stop_ramp
 
 Answers = dict[cia.Key, int | SdoAbortedError]
 Write = tuple[int, int, int, int]  # index, sub-index, value, size in bytes
-UNREADABLE = (0x06010000, 0x06010001)  # abort codes of objects that can only be written
-MODE_S = 0.5  # in which the display follows the mode of operation
-TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1  # of ranges, speeds and ratios; a speed
-# A drive's range and speed that are the same multiple of the limits at the motor, at least this,
-# show a wrong ratio.
+# Abort codes of objects that can only be written, and so cannot be compared.
+UNREADABLE = (0x06010000, 0x06010001)
+# The display must follow the mode of operation within this time.
+MODE_S = 0.5
+# Relative tolerance of ranges, speeds and ratios; and the speed that stands for no limit.
+TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1
+# If range and speed of a drive are the same multiple of the limits at the motor, the ratio is
+# probably wrong. This is the smallest multiple, and the largest difference between the two.
 MIN_MULTIPLE, MULTIPLES_DIFFER = 2.0, 0.1
 LIMITS = (
     *((cia.POSITION_LIMITS, 1), (cia.POSITION_LIMITS, 2), (cia.HOME_OFFSET, 0)),
@@ -34,11 +36,12 @@ class Need:
     """A property of a drive that a session needs, as it was read.
 
     Attributes:
-        name: of the property, with its object.
-        found: what the drive has, and what a session writes, in words.
-        writes: in order; none where the drive has what is needed.
-        refusal: why no session can start; empty where one can.
-        track: `refusal` forbids motion only.
+        drive: the drive.
+        name: name of the property, with its object.
+        found: value in the drive, and what a session writes, as text.
+        writes: writes that a session makes, in order; empty if the drive has what is needed.
+        refusal: why no session can start; empty if it can.
+        track: True if `refusal` forbids only motion.
     """
 
     drive: Drive
@@ -55,8 +58,15 @@ class Need:
 
 
 def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
-    """Read what a recording needs of a drive, with `track` also what motion needs; nothing is
-    written.
+    """Read what a recording needs of a drive, and with `track` also what motion needs.
+
+    Nothing is written.
+
+    Parameters
+    ----------
+    master : reads the objects.
+    drive : the drive.
+    track : True to include what motion needs.
 
     Raises
     ------
@@ -68,10 +78,11 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
         drive, f"heartbeat {beat[0]:04X}", _ask(master, drive, beat), {beat: every_ms}, " ms"
     )
     yield from (_pdo(master, drive, "tpdo", pdo) for pdo in drive.tpdos)
-    if track:  # only motion sends to the drives
+    # Only motion sends PDOs to the drives.
+    if track:
         yield from (_pdo(master, drive, "rpdo", pdo) for pdo in drive.rpdos)
         yield _interpolation(master, drive)
-        # with its display: a session waits until that follows
+        # The display is read too, because a session waits until it follows the mode.
         mode, display = (i + axis_of(drive) for i in (cia.MODE_OF_OPERATION, cia.MODE_DISPLAY))
         yield _values(
             drive,
@@ -85,9 +96,15 @@ def needs_of(master: Master, drive: Drive, *, track: bool) -> Iterator[Need]:
 def read_needs(master: Master, *, track: bool) -> list[Need]:
     """Read the needs of all drives before a session.
 
+    Parameters
+    ----------
+    master : reads the objects.
+    track : True if the session moves the robot.
+
     Raises
     ------
-    RefusedError : with all that forbid it.
+    RefusedError : a drive does not have what the session needs; the text lists everything.
+    NoAnswerError : a drive does not answer.
     """
     needs = [need for drive in master.bus.drives for need in needs_of(master, drive, track=track)]
     if unmet := [str(need) for need in needs if need.refusal and (track or not need.track)]:
@@ -100,9 +117,17 @@ def read_needs(master: Master, *, track: bool) -> list[Need]:
 
 
 def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str]:
-    """Set every drive to PRE-OPERATIONAL, and write what differs.
+    """Set every drive to PRE-OPERATIONAL, and write the objects that differ.
 
-    A warning is returned for each drive whose heartbeat a recording does without.
+    Parameters
+    ----------
+    master : has the drives.
+    needs : result of `read_needs`.
+    track : True if the session moves the robot.
+
+    Returns
+    -------
+    A warning for each drive whose heartbeat is missing; a recording does without it.
 
     Raises
     ------
@@ -131,7 +156,8 @@ def configure(master: Master, needs: Iterable[Need], *, track: bool) -> list[str
 
 def _write(master: Master, node: int, write: Write) -> None:
     index, sub, value, size = write
-    if index == cia.HEARTBEAT_TIME:  # U16 in CiA 301, but not in all drives
+    # The heartbeat time is U16 in CiA 301, but not in all drives.
+    if index == cia.HEARTBEAT_TIME:
         answer = master.upload(node, index, sub)
         size = len(answer.data) if answer.kind == "value" else size
     master.write(node, index, sub, value, size)
@@ -153,7 +179,7 @@ def _await_mode(master: Master, drive: Drive) -> None:
 
 
 def _ask(master: Master, drive: Drive, *keys: cia.Key) -> Answers:
-    """Read objects of a drive; the abort in place of those that it refuses."""
+    """Read objects of a drive; an object that it refuses has the abort as its value."""
 
     def answer(key: cia.Key) -> int | SdoAbortedError:
         try:
@@ -179,8 +205,8 @@ def _need(
 ) -> Need:
     """Return a property that `writes` set.
 
-    It is refused if an object is missing, cannot be read (unless it is written), or is read-only by
-    the dictionary.
+    It is refused if an object is missing, if it cannot be read (unless it is written), or if the
+    dictionary declares it as read-only.
     """
     keys = dict.fromkeys(write[:2] for write in writes)
     refused = [
@@ -206,7 +232,7 @@ def _need(
 def _values(
     drive: Drive, name: str, answers: Answers, wanted: dict[cia.Key, int], unit: str = ""
 ) -> Need:
-    """Return objects that must have the raw values `wanted` before motion."""
+    """Return the need that objects have the raw values `wanted`."""
     differ = {key: value for key, value in wanted.items() if answers[key] != value}
     return _need(
         drive,
@@ -218,14 +244,15 @@ def _values(
 
 
 def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
-    """Return the needs of a PDO: what is right of it is not written, because its mapping may be
-    fixed.
+    """Return the needs of a PDO.
+
+    Parts that are right are not written, because the mapping of a drive may be fixed.
     """
     communication, mapping = (first + pdo.number - 1 for first in cia.PARAMETERS[way])
     can_id, kind, count = (communication, 1), (communication, 2), (mapping, 0)
     answers = _ask(master, drive, can_id, kind, count)
     is_mapped = answers[count] == len(pdo.entries) and all(
-        # Many drives have no sub-index beyond the count: it is read first.
+        # Many drives have no sub-index beyond the count, so the count is compared first.
         _ask(master, drive, (mapping, k))[mapping, k] == entry.mapping
         for k, entry in enumerate(pdo.entries, 1)
     )
@@ -247,9 +274,9 @@ def _pdo(master: Master, drive: Drive, way: str, pdo: cia.Pdo) -> Need:
 
 
 def _interpolation(master: Master, drive: Drive) -> Need:
-    """Return the need of the interpolation period: the SYNC period in any unit is right.
+    """Return the need of the interpolation period, which may be given in any unit.
 
-    A drive without the object has that of its dictionary.
+    If a drive does not have the object, the value in its dictionary counts.
     """
     index, period_s = cia.INTERPOLATION_PERIOD + axis_of(drive), master.bus.file.sync_period_s
     name, answers = f"interpolation period {index:04X}", _ask(master, drive, (index, 1), (index, 2))
@@ -271,8 +298,9 @@ def _interpolation(master: Master, drive: Drive) -> Need:
 
 
 def _identity(master: Master, drive: Drive) -> Iterator[Need]:
-    """Return the identity in the dictionary, and the rated values of robot.toml, which are only
-    compared.
+    """Yield the needs of the identity in the dictionary and of the rated values in robot.toml.
+
+    They are only compared, never written.
     """
     identity = [] if drive.dictionary is None else drive.dictionary.identity
     for name, key, number, form, source in (
@@ -290,10 +318,9 @@ def _identity(master: Master, drive: Drive) -> Iterator[Need]:
 
 
 def _limits(master: Master, drive: Drive) -> Iterator[Need]:
-    """Return position limits, motor speed and gear, if the drive reports them, and its quick stop
-    deceleration.
+    """Yield the needs of position limits, motor speed, gear and quick stop deceleration.
 
-    Limits are compared with those of the joints times the ratio.
+    Values that the drive reports are compared with the limits of the joints times the ratio.
     """
     axis, ratio = axis_of(drive), drive.motion.ratio or 0.0
     low, high, home, turns, shaft, rpm, unit = (
@@ -301,7 +328,8 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     )
     low, high = cia.signed(low, 32), cia.signed(high, 32)
     least, most = drive.motion.position or (0.0, 0.0)
-    # 0: one of the two has no limits, or a home offset may shift those of the drive (CiA 402)
+    # Ranges are not compared (0) if one of them has no limits, or if a home offset may shift the
+    # limits of the drive (CiA 402).
     span = most - least if low < high and not home else 0.0
     fastest = drive.motion.rpm if rpm not in (0, NO_LIMIT) and unit in (0, cia.RPM) else None
     joints, known = "joint limits x ratio", f"the ratio of its motor in robot.toml, {ratio:g}"
@@ -321,7 +349,7 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             f"at least {fastest:.0f} ({joints})",
             ok=rpm >= (1 - TOLERANCE) * fastest,
         )
-    # Where a ratio is missing or wrong, both are the same multiple.
+    # If the ratio is missing or wrong, range and speed differ by the same factor.
     less, more = sorted([(high - low) / (span or math.inf), rpm / (fastest or math.inf)])
     if ratio and less >= MIN_MULTIPLE:
         yield _compared(
@@ -331,7 +359,8 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
             f"1; check {known}",
             ok=more > (1 + MULTIPLES_DIFFER) * less,
         )
-    if ratio and shaft:  # where the description reduces more, a further stage is outside
+    # The ratio in robot.toml may be larger, since it includes stages outside the motor.
+    if ratio and shaft:
         yield _compared(
             drive,
             f"gear {cia.GEAR + axis:04X}",

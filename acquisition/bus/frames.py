@@ -1,4 +1,4 @@
-"""CAN frames, blocks of frames, and the service of a frame in words (CiA 301's connection set)."""
+"""CAN frames, blocks of frames, and the service of a frame in words (CiA 301, connection set)."""
 
 import struct
 from collections.abc import Callable, Iterable
@@ -15,7 +15,14 @@ _MAX_BASE_ID = 0x7FF  # of 11 bits
 
 
 class Frame(NamedTuple):
-    """A CAN frame; `flags` as in a `Block`."""
+    """A CAN frame.
+
+    Attributes:
+        time_ns: time of reception or sending, ns.
+        can_id: identifier, of 11 or 29 bits.
+        data: up to 8 bytes.
+        flags: flags of a row of a `Block`.
+    """
 
     time_ns: int
     can_id: int
@@ -27,7 +34,7 @@ Tap = Callable[[Frame], None]
 
 
 def block_of(frames: Iterable[Frame]) -> Block:
-    """Return rows of `FRAME`."""
+    """Return frames as rows of `FRAME`."""
     return np.frombuffer(
         bytearray().join(
             ROW.pack(f.time_ns, f.can_id, len(f.data), f.flags, f.data) for f in frames
@@ -37,7 +44,7 @@ def block_of(frames: Iterable[Frame]) -> Block:
 
 
 def frame_of(message: Any) -> Frame:
-    """Return a message of python-can as a frame."""
+    """Convert a message of python-can to a frame."""
     extended = message.is_extended_id or message.arbitration_id > _MAX_BASE_ID
     return Frame(
         round(message.timestamp * 1e9),
@@ -61,7 +68,10 @@ _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
 def service_of(frame: Frame, sync_can_id: int) -> str:
-    """Return service and node of a frame in words: `SYNC`, `NMT command`, `heartbeat of node 5`."""
+    """Name service and node of a frame: `SYNC`, `NMT command`, `heartbeat of node 5`.
+
+    `sync_can_id` is the identifier of SYNC.
+    """
     if frame.flags & EXTENDED:
         return f"29-bit frame 0x{frame.can_id:08X}"
     remote = "remote request for " if frame.flags & REMOTE_REQUEST else ""
@@ -82,7 +92,7 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
 
 
 def command_ids(bus: Bus) -> set[int]:
-    """Return identifiers of the frames by which a master commands the drives of `bus`.
+    """Return the identifiers of the frames by which a master commands the drives of `bus`.
 
     These are NMT, SDO requests and PDOs to drives.
     """
@@ -94,10 +104,11 @@ def command_ids(bus: Bus) -> set[int]:
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
-    """Return the service in words if a frame shows another master on the bus, else None.
+    """Return the service of a frame that only another master sends; else None.
 
-    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat
-    of `master_node` and, unless the description says that another device does, SYNC.
+    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests and the
+    heartbeat of `master_node`. The same holds for SYNC, unless the description gives another
+    producer.
     """
     service = service_of(frame, bus.file.sync_can_id)
     if frame.flags & EXTENDED:
@@ -122,10 +133,9 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_node(frame: Frame, bus: Bus) -> int | None:
-    """Return the node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in
-    `other_nodes`.
+    """Return the node id of a heartbeat from a node that is not described; else None.
 
-    It is None for any other frame.
+    A boot-up message does not count as a heartbeat.
     """
     node, known = (
         frame.can_id & 0x7F,

@@ -1,7 +1,7 @@
-"""A bus as frames and times: opened as the description says; a passive link never sends, and its
-adapter only listens where python-can can ask that of it.
+"""A bus as frames and times, opened according to the description.
 
-Network interfaces stay on this machine unless the description says otherwise.
+A passive link never sends, and its adapter only listens if python-can supports that. Multicast
+stays on this computer unless the description allows more.
 """
 
 import logging
@@ -19,7 +19,7 @@ from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
 
-# of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
+# Size of the kernel's receive queue. The default of 212992 holds only 31 ms of a full bus.
 QUEUE_BYTES = 4 * 2**20
 
 # Constants of Linux. The last of SO_MEMINFO's nine counters counts the dropped frames.
@@ -27,24 +27,27 @@ _SO_RCVBUFFORCE, _SO_MEMINFO, _DROPS = 33, 55, 8
 
 
 def stay_on_loopback(bus: Any, file: BusFile) -> None:
-    """Send and receive multicast by the loopback interface only."""
+    """Restrict multicast to the loopback interface."""
     sock, group = socket_of(bus), file.channel.partition(":")[0]
     if sock is None or sock.family != socket.AF_INET:
-        return  # an IPv6 group: the hop limit alone keeps frames here
+        # The group is an IPv6 group, for which the hop limit keeps frames here.
+        return
     here = socket.inet_aton("127.0.0.1")
     try:
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + here)
     except OSError:
-        return  # loopback is the group's interface already
-    with suppress(OSError):  # the group was not joined on another interface
+        # The group uses the loopback interface already.
+        return
+    # It fails if the group was not joined on another interface, which does no harm.
+    with suppress(OSError):
         sock.setsockopt(
             socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4)
         )
 
 
 def socket_of(bus: Any) -> socket.socket | None:
-    """Return the socket under a bus, None without one."""
+    """Return the socket of a python-can bus; None if it has none."""
     found = getattr(bus, "socket", None) or getattr(
         getattr(bus, "_multicast", None), "_socket", None
     )
@@ -52,22 +55,21 @@ def socket_of(bus: Any) -> socket.socket | None:
 
 
 def request_queue_size(sock: socket.socket) -> None:
-    """Request a receive queue of `QUEUE_BYTES`; the kernel may grant less."""
+    """Request a receive queue of `QUEUE_BYTES`. The kernel may grant less."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
     if queue_bytes(sock) < QUEUE_BYTES:
-        with suppress(OSError):  # above net.core.rmem_max, if permitted
+        # This exceeds net.core.rmem_max, if the system permits it.
+        with suppress(OSError):
             sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, QUEUE_BYTES)
 
 
 def queue_bytes(sock: socket.socket) -> int:
-    """Return the granted size of the kernel's receive queue."""
+    """Return the granted size of the receive queue in bytes."""
     return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
 
 def kernel_drops(sock: socket.socket | None) -> int:
-    """Return the number of frames that the kernel dropped because the queue was full; 0 without a
-    socket.
-    """
+    """Return how many frames the kernel dropped because the queue was full; 0 without a socket."""
     if sock is None:
         return 0
     try:
@@ -76,15 +78,15 @@ def kernel_drops(sock: socket.socket | None) -> int:
         return 0
 
 
-# interfaces that several programs (or bus objects) may open at once
+# Several programs (or bus objects) may open these interfaces at once.
 SHARED = ("socketcan", "udp_multicast", "virtual")
 
-# python-can's own warnings are not printed; its errors are raised and reported in one line.
+# Warnings of python-can are not printed, because its errors are raised and reported in one line.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def refuse_to_send(*_: object, **__: object) -> None:
-    """Raise `RefusedError`: replaces the sending functions of a passive bus."""
+    """Raise `RefusedError`. This replaces the sending functions of a passive bus."""
     raise RefusedError(
         "a passive session never sends",
         what="sending",
@@ -92,8 +94,7 @@ def refuse_to_send(*_: object, **__: object) -> None:
     )
 
 
-# What python-can opens an adapter with so that it only listens. Adapters that are not here
-# acknowledge all frames.
+# Arguments of python-can with which an adapter only listens. Other adapters acknowledge all frames.
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
     "slcan": {"listen_only": True},
     "pcan": {"state": "PASSIVE"},  # of can.BusState
@@ -104,8 +105,9 @@ LISTEN_ONLY: dict[str, dict[str, Any]] = {
 
 
 def listening_words(file: BusFile) -> str:
-    """Say whether a passive recording acknowledges the frames of others, and what follows; empty
-    without hardware.
+    """Describe whether a passive recording acknowledges the frames of others, and the consequence.
+
+    The text is empty without hardware.
     """
     listens, verb, way_out = (
         file.interface in LISTEN_ONLY,
@@ -141,8 +143,11 @@ def listening_words(file: BusFile) -> str:
 
 
 def refuse_unconfirmed(bus: Any, place: str) -> None:
-    """Raise `RefusedError` if a PCAN, the only adapter that can be asked, does not
-    confirm that it only listens.
+    """Check that a PCAN adapter, the only one that reports it, only listens.
+
+    Raises
+    ------
+    RefusedError : it does not confirm this.
     """
     if (driver := getattr(bus, "m_objPCANBasic", None)) is not None:
         from can.interfaces.pcan.basic import PCAN_ERROR_OK, PCAN_LISTEN_ONLY
@@ -163,22 +168,32 @@ def is_group(bus: Any) -> bool:
 
 
 def is_no_frame(bus: Any, error: Exception) -> bool:
-    """Test whether a read error is due to a datagram that is not a frame, which any program may
-    send to a group.
+    """Test whether reading failed at a datagram that is not a frame.
+
+    Any program may send such datagrams to a multicast group.
     """
     import can
 
     return (
         isinstance(error, can.CanOperationError)
         and is_group(bus)
-        and not isinstance(error.__cause__, OSError)  # of the socket itself
+        # An OSError is an error of the socket itself.
+        and not isinstance(error.__cause__, OSError)
     )
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
     """Open the python-can bus of a description.
 
-    A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens.
+    Parameters
+    ----------
+    file : the description of the bus.
+    passive : True for a bus that cannot send; adapters of `LISTEN_ONLY` only listen then.
+
+    Raises
+    ------
+    BusFaultError : the bus cannot be opened.
+    RefusedError : an adapter does not confirm that it only listens.
     """
     import can
 
@@ -195,10 +210,11 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
             options |= {"hop_limit": 0 if file.loopback else 1, "fd": False, "channel": group}
             options |= {"port": int(port)} if port.isdigit() else {}
         case "socketcan":
-            options["fd"] = True  # frames of CAN FD are received too, to be counted
+            # Frames of CAN FD are received too, so that they can be counted.
+            options["fd"] = True
         case adapter if adapter not in SHARED:
             if adapter == "gs_usb" and file.channel.isdigit():
-                # the number of the device; python-can takes no text
+                # The channel is the number of the device, which python-can accepts only as int.
                 options["channel"] = int(file.channel)
             options |= {"bitrate": file.bitrate} | (LISTEN_ONLY.get(adapter, {}) if passive else {})
     if "state" in options:
@@ -232,21 +248,26 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
     return bus
 
 
-# modules of python-can whose buses return every frame sent, marked as not received
+# Modules of python-can whose buses return every frame sent, marked as not received.
 ECHOING = ("gs_usb", "cantact")
 
 
 class MasterLink(Protocol):
-    """A link for a master: its time, sending and receiving."""
+    """The link of a master: its time, sending and receiving."""
 
     def now_ns(self) -> int:
-        """Return the time of this link, of events and deadlines, ns."""
+        """Return the time of this link in ns, which its events and deadlines use."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame; raise `BusFaultError` if that fails."""
+        """Send a frame.
+
+        Raises
+        ------
+        BusFaultError : the bus does not accept it.
+        """
 
     def receive(self, until_ns: int) -> Frame | None:
-        """Return the next frame, None if there is none until `until_ns`.
+        """Return the next frame; None if there is none until `until_ns`.
 
         Raises
         ------
@@ -257,21 +278,21 @@ class MasterLink(Protocol):
 class Link:
     """A bus in real time.
 
-    That of a passive bus raises on sending. `tap` is called with every frame sent and received.
+    `tap` is called with every frame that is sent or received.
     """
 
     def __init__(self, bus: Any, *, tap: Tap | None = None) -> None:
         self._bus = bus
         self._tap: Tap = tap or (lambda frame: None)
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
-        # Sent frames that a multicast group or an adapter will return to us.
+        # A multicast group and some adapters return the frames that were sent. They are dropped.
         echoes = is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
         self._own = deque[tuple[int, bytes]](maxlen=1000 if echoes else 0)
 
     def now_ns(self) -> int:
-        """Return the time of this link, of events and deadlines, ns.
+        """Return the time of this link in ns.
 
-        It is the wall clock's at opening, continued by the monotonic clock.
+        It is the wall clock at opening, continued by the monotonic clock.
         """
         return self._epoch_ns + time.monotonic_ns()
 
@@ -280,7 +301,8 @@ class Link:
 
         Raises
         ------
-        RobotIdimError : the link is passive, or the bus does not take it.
+        RefusedError : the bus is passive.
+        BusFaultError : the bus does not accept the frame.
         """
         import can
 
@@ -296,11 +318,11 @@ class Link:
         self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """Return the next frame, None if there is none until `until_ns`."""
+        """Return the next frame; None if there is none until `until_ns`."""
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """Return the next frame, None if there is none within `timeout_s`.
+        """Return the next frame; None if there is none within `timeout_s`.
 
         Raises
         ------
@@ -340,5 +362,16 @@ class Link:
 
 
 def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:
-    """Open a link in real time."""
+    """Open a link in real time.
+
+    Parameters
+    ----------
+    file : the description of the bus.
+    passive : True for a link that cannot send.
+    tap : called with every frame that is sent or received.
+
+    Raises
+    ------
+    BusFaultError, RefusedError : as `open_bus`.
+    """
     return Link(open_bus(file, passive=passive), tap=tap)

@@ -1,8 +1,8 @@
-"""CAN logs of other tools: Vector ASC and BLF and PCAN TRC by python-can, candump by ourselves.
+"""CAN logs of other tools: candump, read here; Vector ASC and BLF, PCAN TRC, read by python-can.
 
 A line of `candump -L` is `(1700000000.000312) can0 181#2706000000000000`: seconds, interface,
-identifier of 3 digits (11 bits) or 8 (29 bits; a further bit marks error frames), data. `R` stands
-for a remote request, a second `#` for CAN FD, and T or R at the end for sent or received.
+identifier of 3 digits (11 bits) or 8 (29 bits; a further bit marks error frames), data. `R` means
+a remote request, a second `#` means CAN FD, and T or R at the end mean sent or received.
 """
 
 import logging
@@ -30,13 +30,15 @@ from .frames import ROW, Frame, frame_of
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
 MAX_PAYLOAD, MAX_CAN_ID = 8, 0x1FFFFFFF  # bytes of classic CAN, identifier of 29 bits
-_AT_ONCE = 2**16  # bytes
+# Rows are written together once there are so many bytes, because a log may exceed the memory.
+_AT_ONCE = 2**16
 _CUT = "truncated last line"
-_FIRST_CHANNEL = {".asc": 1, ".blf": 1, ".trc": 0}  # that python-can calls 0
+# Number in the file of the channel that python-can calls 0.
+_FIRST_CHANNEL = {".asc": 1, ".blf": 1, ".trc": 0}
 _REQUEST = re.compile(r"\s*\d+\.\d+\s+(CANFD\s+)?\d+\s+(\w+\s+)?TxRq\b", re.IGNORECASE)
 _STAMP = re.compile(r"\s*(\d+\.\d+)(?=\s)")
 _RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
-# Versions that python-can would read as 1.0.
+# python-can would read these versions as version 1.0.
 _OTHER_VERSION = re.compile(r";\$FILEVERSION=(?!(?:1\.[013]|2\.[01])\s*$)(.*)")
 _LINE = re.compile(
     rb"[ \t]*\((\d{1,10})\.(\d{1,9})\)[ \t]+(\S{1,32})[ \t]+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
@@ -45,7 +47,7 @@ _LINE = re.compile(
 )
 _ERROR_FRAME = 0x20000000  # bit of the identifier
 _RECORD = "Record with `candump -l`: lines such as (1700000000.000312) can0 181#2706"
-# What else has the suffix .log: the beginning of a line, what it is, and what to do.
+# Other files with the suffix .log: how a line begins, what the file is, and what to do.
 _OTHERS = (
     (rb"\*+ *BUSMASTER", "the log is of BUSMASTER, not of candump", "Export it as .asc"),
     (rb"[;\s]*(\$FILEVERSION|\d+\))", "the log is of PCAN, not of candump", "Rename it to .trc"),
@@ -60,23 +62,25 @@ _OTHERS = (
 
 
 def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
-    """Read a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
+    """Read a log of candump (.log), Vector (.asc, .blf) or PCAN (.trc), by its suffix.
+
+    Parameters
+    ----------
+    path : the log.
 
     Returns
     -------
-    By interface as the file names or numbers it, the (m,) rows of `FRAME` in the order of the file,
-    on
-    disk if they are large; and the number of frames or lines that are left out, by kind. Left out
-    are
-    frames of CAN FD, which CANopen does not use, requests to send, which are no frames on the bus,
-    and
-    a truncated line.
+    Two mappings. The rows of `FRAME` (m,) by interface as the file names or numbers it, in the
+    order of the file, and on disk if they are large. The number of frames or lines that are left
+    out, by kind.
+
+    Left out are frames of CAN FD, which CANopen does not use, requests to send, which are not
+    frames on the bus, and a truncated last line.
 
     Raises
     ------
-    BadInputError : with file and frame or line (from 1): the log cannot be read or is damaged, or
-        no
-        recording can hold a time, an identifier or the data.
+    BadInputError : the log cannot be read or is damaged, or a recording cannot contain a time, an
+        identifier or the data. The place has the file and the frame or line (from 1).
     """
     if path.suffix.lower() not in SUFFIXES:
         Location(str(path)).refuse(
@@ -113,7 +117,7 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
 def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
     """Yield interface and frame of each line.
 
-    A power cut leaves a last line without its end, whose bytes may be cut too, or zeros.
+    After a power cut the last line has no end. Its bytes may be truncated, or zeros.
     """
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
@@ -142,7 +146,7 @@ def _read_candump(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fra
 
 
 def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Frame]]:
-    """Yield interface and frame of each message of python-can's readers."""
+    """Yield interface and frame of each message, read by python-can."""
     import can
 
     count, suffix, logger = 0, path.suffix.lower(), logging.getLogger("can.io.trc")
@@ -158,7 +162,8 @@ def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fram
                 )
     except (BadInputError, OSError):
         raise
-    except Exception as error:  # on damaged files the readers raise errors of any kind
+    # The readers raise errors of any kind if a file is damaged.
+    except Exception as error:
         raise BadInputError(
             f"the log is damaged after {count} frames: {str(error)[:200] or type(error).__name__}",
             place=str(path),
@@ -168,8 +173,9 @@ def _read_others(path: Path, left_out: Counter[str]) -> Iterator[tuple[str, Fram
 
 
 def _refuse_skipped(record: logging.LogRecord) -> bool:
-    """Refuse a line that python-can's TRC reader skips with a warning, but for the last one of a
-    head, which it takes for a frame.
+    """Raise `ValueError` for a line that python-can's TRC reader skips with a warning.
+
+    The last line of a header is an exception, because that reader takes it for a frame.
     """
     if record.levelno >= logging.WARNING and not re.search("message '[;']", record.getMessage()):
         raise ValueError(record.getMessage())
@@ -177,12 +183,12 @@ def _refuse_skipped(record: logging.LogRecord) -> bool:
 
 
 def _lines(path: Path, left_out: Counter[str]) -> Iterator[str]:
-    """Yield lines of an ASC or a TRC, which python-can's readers take as they take a file.
+    """Yield the lines of an ASC or TRC file, for the readers of python-can.
 
-    Times are absolute; requests to send and a truncated last line are left out and counted.
+    Times are absolute. Requests to send and a truncated last line are left out and counted.
     """
     relative, time_s = False, 0.0
-    # Heads have dates and names in the encoding of their machine; all that is used is ASCII.
+    # Headers have dates and names in the encoding of their computer, but only ASCII is used.
     with path.open(encoding="latin-1") as file:
         for line in file:
             if version := _OTHER_VERSION.match(line):

@@ -1,6 +1,4 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the
-last values of every node.
-"""
+"""A CANopen master on a link: NMT, SDO, commands by PDO, and the last values of every node."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -20,26 +18,41 @@ OPERATIONAL, STOPPED = 5, 4  # NMT states, CiA 301
 
 @dataclass(kw_only=True)
 class NodeWatch:
-    """The last values received from a drive."""
+    """The last values received from a drive.
+
+    Attributes:
+        drive: the drive.
+        statusword: last statusword; None before the first.
+        counts: last position in counts; None before the first.
+        answers: position PDOs since the last SYNC.
+        silent_syncs: SYNCs in a row without an answer.
+        nmt: NMT state of the last heartbeat.
+        started: True once a heartbeat has reported operational since START.
+        unstarted: number of heartbeats since START before that.
+        heard_ns: time of the last heartbeat, or of START.
+        beats: True if heartbeats are monitored; False for a drive without 1017h.
+        emergency: error code of the last emergency message.
+        booted: True if a boot-up message was received since START.
+        ramp_objects: values of `RAMP_OBJECTS`; None for those that the drive does not have.
+    """
 
     drive: Drive
     statusword: int | None = None
     counts: int | None = None
-    answers: int = 0  # position PDOs since SYNC
-    silent_syncs: int = 0  # in a row without one
+    answers: int = 0
+    silent_syncs: int = 0
     nmt: int | None = None
-    started: bool = False  # its heartbeat has reported operational since START
-    unstarted: int = 0  # heartbeats before that
+    started: bool = False
+    unstarted: int = 0
     heard_ns: int = 0
-    beats: bool = True  # whether its heartbeat comes in time: not from a drive without 1017h
+    beats: bool = True
     emergency: int | None = None
     booted: bool = False
-    # of `RAMP_OBJECTS`; None where it has none
     ramp_objects: dict[int, int | None] = field(default_factory=dict)
 
     @property
     def state(self) -> cia.State | None:
-        """State by the last statusword, None before the first or for bits of no CiA 402 state."""
+        """State in the last statusword; None before the first, or if it is not a CiA 402 state."""
         try:
             return None if self.statusword is None else cia.state_of(self.statusword)
         except BusFaultError:
@@ -49,16 +62,26 @@ class NodeWatch:
 class Master:
     """A master that sends requests and stores the last values received.
 
-    Every frame received goes through `dispatch`.
+    Every received frame goes through `dispatch`.
+
+    Attributes:
+        nodes: values of the drives, in the order of the drives.
+        by_node: the same by node id.
+        bus_error: last error of the bus, as text; None without one.
+        signs: signs of another master, as text, and whether they command the drives.
+        while_awaiting: called every 50 ms while an SDO answer is awaited.
+        unanswered: SDO requests without an answer, by node id.
+        doubled: node ids that two devices have.
+        sync_times: times of received SYNCs, ns.
+        synced_ns: time of the last SYNC that was sent; None before the first.
+        at_sync: called at every SYNC of any producer.
     """
 
     def __init__(self, link: MasterLink, bus: Bus) -> None:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
-        # of another master, in words, and whether they command our drives
         self.signs: dict[str, bool] = {}
-        # called every 50 ms while an SDO answer is awaited
         self.while_awaiting: Callable[[], None] = lambda: None
         self._commands = command_ids(bus)
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
@@ -66,26 +89,27 @@ class Master:
             pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos
         }
         self._answers: dict[int, bytes] = {}
-        # SDO requests of any master, by node; a late answer is one too
+        # SDO requests of any master without an answer so far, by node. A late answer counts, too.
         self.unanswered = Counter[int]()
-        # nodes with more SDO answers than requests: two devices have their id
+        # Nodes with more SDO answers than requests, because two devices have the same node id.
         self.doubled: set[int] = set()
-        self._sized: set[int] = set()  # nodes that have stated a size below four bytes
+        # Nodes that have given a size below four bytes give the right size in all answers.
+        self._sized: set[int] = set()
         self.sync_times: list[int] = []
-        self.synced_ns: int | None = None  # when we sent the last SYNC
-        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
+        self.synced_ns: int | None = None
+        self.at_sync: Callable[[], None] = lambda: None
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
-        """Receive until `until_ns`; with `for_answers` only until every drive has answered SYNC."""
+        """Receive until `until_ns`. With `for_answers`, stop once every drive has answered SYNC."""
         self._receive(until_ns, lambda: for_answers and all(w.answers for w in self.nodes))
 
     def wait_for_sync(self, until_ns: int) -> bool:
-        """Receive until another producer's SYNC; False where none came before `until_ns`."""
+        """Receive until another producer sends SYNC; return False if none arrives in time."""
         count = len(self.sync_times)
         return self._receive(until_ns, lambda: len(self.sync_times) > count)
 
     def _receive(self, until_ns: int, enough: Callable[[], bool]) -> bool:
-        """Receive until `enough` is true; False where it was not before `until_ns`."""
+        """Receive until `enough` returns True; return False if it does not in time."""
         while not enough():
             frame = self.link.receive(until_ns)
             if frame is None:
@@ -106,14 +130,14 @@ class Master:
         elif frame.can_id == self.bus.file.sync_can_id:
             self.sync_times.append(frame.time_ns)
             if self.bus.file.sync_producer == "recorder":
-                # drives would apply targets at its times
+                # Drives would apply targets at the times of that producer.
                 self.bus_error = "another producer sends SYNC"
             self._next_sync()
         elif function == cia.ANSWER and node:
             self._answers[node] = frame.data
             answer = cia.answer_of(frame.data)
-            # Transfers in segments are left open here: their server may abort them, besides the
-            # next answer or in time.
+            # A transfer in segments stays open here, since its server may still abort it: together
+            # with the next answer, or after a timeout.
             if answer.kind != "other" and (answer.kind, answer.number) != (
                 "abort",
                 cia.ABORTS["timed out"],
@@ -122,20 +146,21 @@ class Master:
                 self.doubled |= {node} if self.unanswered[node] < 0 else set()
         elif node in self.by_node and function == cia.HEARTBEAT and frame.data:
             watch = self.by_node[node]
-            # Time of the link: an adapter may stamp frames by its own clock.
+            # The time of the link is used, because the timestamps may be of the adapter's clock.
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
         elif node in self.by_node and function == cia.EMERGENCY and len(frame.data) >= 2:
-            if code := int.from_bytes(frame.data[:2], "little"):  # 0: the error is cleared
+            # Code 0 reports that the error is cleared.
+            if code := int.from_bytes(frame.data[:2], "little"):
                 self.by_node[node].emergency = code
         else:
             self.unanswered[node] += function == cia.REQUEST
             self._note_sign(frame)
 
     def refuse_doubled(self) -> None:
-        """Raise `RefusedError` where two devices have answered as one node."""
+        """Raise `RefusedError` if two devices have answered with the same node id."""
         if self.doubled:
             raise RefusedError(
                 f"two devices answer as node {min(self.doubled)}",
@@ -145,14 +170,15 @@ class Master:
             )
 
     def _note_sign(self, frame: Frame) -> None:
-        # Our own frames never come here: a link leaves out those that its interface returns.
+        # Frames of this master never arrive here, because the link drops those that return.
         if (sign := sign_of_master(frame, self.bus)) is not None:
             self.signs[sign] = frame.can_id in self._commands and not frame.flags & REMOTE_REQUEST
 
     def _process_data(self, frame: Frame) -> None:
         watch, pdo = self._by_pdo[frame.can_id]
         if len(frame.data) < pdo.length:
-            return  # a PDO that is too short is ignored
+            # A PDO that is too short is ignored (CiA 301).
+            return
         values, drive = pdo.unpack(frame.data), watch.drive
         watch.statusword = values.get(drive.status.key, watch.statusword)
         if (counts := values.get(drive.position.key)) is not None:
@@ -160,14 +186,15 @@ class Master:
             watch.answers += 1
 
     def sync(self) -> None:
-        """Send SYNC, and count the drives that did not answer the one before."""
+        """Send SYNC, after counting the drives that did not answer the one before."""
         self._next_sync()
         self.synced_ns = self.link.now_ns()
         self.link.send(self.bus.file.sync_can_id, b"")
 
     def _next_sync(self) -> None:
-        """Count the drives that did not answer the SYNC before, once they have reported
-        operational or sent a position.
+        """Count the drives that did not answer the last SYNC.
+
+        Only drives that have reported operational or sent a position are counted.
         """
         for watch in self.nodes:
             late = not watch.answers and (watch.started or watch.counts is not None)
@@ -176,15 +203,16 @@ class Master:
         self.at_sync()
 
     def nmt(self, command: int, node: int) -> None:
-        """Send an NMT command to one node; never to all (0), because other
-        devices may be on the bus.
+        """Send an NMT command to one node.
+
+        It is never sent to all nodes (0), because other devices may be on the bus.
         """
         self.link.send(0, bytes([command, node]))
 
     def start(self) -> None:
         """Send START to all drives.
 
-        Values received before are discarded, so that no old position is taken for a new one.
+        Values received before are discarded, so that an old position is not taken for a new one.
         """
         for watch in self.nodes:
             watch.statusword = watch.counts = watch.emergency = watch.nmt = None
@@ -195,26 +223,35 @@ class Master:
             watch.heard_ns = self.link.now_ns()
 
     def state(self, drive: Drive) -> cia.State:
-        """Return the state of a drive, read by SDO (6041h); raise `BusFaultError` if it does not
-        answer.
+        """Read the state of a drive by SDO (6041h).
+
+        Raises
+        ------
+        BusFaultError : the drive does not answer, or its statusword is not a CiA 402 state.
         """
         return cia.state_of(self.read(drive.node, *drive.status.key))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
-        """Read an object, as an unsigned number.
+        """Read an object as an unsigned number.
 
-        Raises `BusFaultError` when refused or not answered.
+        Raises
+        ------
+        SdoAbortedError : the drive refuses the access.
+        NoAnswerError : it does not answer.
         """
         return cia.check_answer(
             self.upload(node, index, sub), "value", node, _place(node, index, sub)
         )
 
     def upload(self, node: int, index: int, sub: int = 0) -> cia.Transfer:
-        """Return the answer of any kind to a read request. Raises `NoAnswerError` when there is
-        none.
+        """Return the answer of any kind to a read request.
 
-        Where a drive has never stated a size below four bytes, values have that of their type: some
-        state none (CiA 301, 7.2.4.3.6), or always four.
+        Some drives never give a size (CiA 301, 7.2.4.3.6), or always four bytes. Their values have
+        the size of their type.
+
+        Raises
+        ------
+        NoAnswerError : the drive does not answer.
         """
         answer = cia.answer_of(
             self.exchange(node, cia.read_request(index, sub), _place(node, index, sub))
@@ -228,7 +265,13 @@ class Master:
         return answer
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
+        """Write an object of `size` bytes.
+
+        Raises
+        ------
+        SdoAbortedError : the drive refuses the access.
+        NoAnswerError : it does not answer.
+        """
         place = f"{_place(node, index, sub)} = {value}"
         cia.check_answer(
             cia.answer_of(self.exchange(node, cia.write_request(index, sub, value, size), place)),
@@ -238,23 +281,27 @@ class Master:
         )
 
     def post(self, node: int, request: bytes) -> None:
-        """Send an SDO request without waiting; `answered` returns its answer."""
+        """Send an SDO request without waiting for its answer, which `answered` returns."""
         self._answers.pop(node, None)
         self.link.send(cia.REQUEST + node, request)
         self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
-        """Return the answer to a request sent by `post`, once; None until it has arrived."""
+        """Return the answer to a request sent by `post`, once; None until it arrives."""
         answer = self._answers.pop(node, None)
         if answer is None or len(answer) != 8:
             return None
-        if request[0] >> 5 == 3:  # for a segment: the answer has its toggle bit, or is an abort
+        # The answer to a segment has the toggle bit of its request, or is an abort.
+        if request[0] >> 5 == 3:
             return answer if answer[0] >> 5 == 4 or answer[0] & 0xF0 == request[0] & 0x10 else None
         return answer if answer[1:4] == request[1:4] else None
 
     def exchange(self, node: int, request: bytes, place: str) -> bytes:
-        """Send an SDO request and return its answer; raise `NoAnswerError` with `place` without
-        one.
+        """Send an SDO request and return its answer.
+
+        Raises
+        ------
+        NoAnswerError : the node does not answer within 0.3 s; the error has the `place`.
         """
         self.post(node, request)
         until_ns = self.link.now_ns()
@@ -277,14 +324,23 @@ def _place(node: int, index: int, sub: int) -> str:
     return f"node {node}: object {index:04X}:{sub}"
 
 
-# controlword and target counts of each drive, in the order of the drives
+# Controlword and target counts of each drive, in the order of the drives.
 Orders = list[tuple[int, int]]
 
 
 def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
-    """Send the RPDOs of one drive that carry only its command, target and mode.
+    """Send a command to one drive, by the PDOs that carry only command, target and mode.
 
-    Raises `BusFaultError` when the bus accepts no frame.
+    Parameters
+    ----------
+    master : sends the PDOs.
+    watch : the drive.
+    control : the controlword.
+    target : target position in counts.
+
+    Raises
+    ------
+    BusFaultError : the bus accepts no frame.
     """
     drive = watch.drive
     values = {

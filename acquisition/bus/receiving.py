@@ -1,4 +1,4 @@
-"""Receives frames in a thread; their stamps continue where the computer's clock is set."""
+"""Reception of frames in a thread, with timestamps that ignore steps of the computer's clock."""
 
 import socket
 import struct
@@ -23,28 +23,37 @@ _TIMESPEC_BYTES = 16
 
 
 class Receiver:
-    """A receiver of frames by `run` in one thread; `take` returns them in another."""
+    """A receiver of frames: `run` receives in one thread, `take` returns them in another.
 
-    DRAIN_S = 2.0  # at most, to read the kernel's queue when a recording ends
+    Attributes:
+        sock: socket of the bus; None without one.
+        stopped: set to True to end `run`.
+        error: error that has ended `run`; None without one.
+    """
+
+    # When a recording ends, reading the queue of the kernel may take so long.
+    DRAIN_S = 2.0
 
     def __init__(self, bus: Any) -> None:
         self._bus, self._items = bus, deque[Any]()
         self.sock = socket_of(bus)
-        # A SocketCAN socket is read directly, at a third of the cost of python-can's messages.
+        # A SocketCAN socket is read directly, which takes a third of the time of python-can.
         self._raw = self.sock if getattr(bus, "socket", None) is self.sock else None
         self.stopped = False
         self.error: str | None = None
 
     def run(self) -> None:
-        """Receive until `stopped` and the queue is empty; an error of the bus ends it
-        and is stored in `error`.
+        """Receive until `stopped` is set and the queue is empty.
+
+        An error of the bus ends it and is stored in `error`.
         """
         try:
             if self._raw is None:
                 self._run_messages()
             else:
                 self._run_raw(self._raw)
-        except Exception as error:  # of any kind: whoever reads `error` must see it
+        # Any error ends the thread, so the reader of `error` must see it.
+        except Exception as error:
             self.error = str(error) or type(error).__name__
 
     def _run_raw(self, sock: socket.socket) -> None:
@@ -55,7 +64,8 @@ class Receiver:
             with suppress(BlockingIOError, InterruptedError):
                 self._items.append(receive(_FD_BYTES, size)[:3])
         until_s = time.monotonic() + self.DRAIN_S
-        with suppress(BlockingIOError):  # the queue is empty
+        # It is raised when the queue is empty.
+        with suppress(BlockingIOError):
             while time.monotonic() < until_s:
                 self._items.append(receive(_FD_BYTES, size, socket.MSG_DONTWAIT)[:3])
 
@@ -78,7 +88,7 @@ class Receiver:
                 return
 
     def take(self) -> Block:
-        """Return frames received since the last call, in order."""
+        """Return the frames received since the last call, in order."""
         items = [self._items.popleft() for _ in range(len(self._items))]
         if not items:
             return np.zeros(0, FRAME)
@@ -98,7 +108,7 @@ def _block_of_raw(items: list[Any]) -> Block:
         extended * EXTENDED
         | ((word & 0x40000000) != 0) * REMOTE_REQUEST
         | ((word & 0x20000000) != 0) * ERROR
-        # made on this machine
+        # The kernel sets this flag if the frame was sent on this computer.
         | (np.array([item[2] & socket.MSG_DONTROUTE for item in items]) != 0) * SENT
         | np.array([len(item[0]) == _FD_BYTES for item in items], bool) * CAN_FD
     )
@@ -107,39 +117,48 @@ def _block_of_raw(items: list[Any]) -> Block:
     return block
 
 
-MIN_STEP_NS = 50_000_000  # a clock that NTP only slews drifts less than this in half a second
-_MAX_READ_NS = 5_000_000  # of both clocks; slower readings are repeated
+# A clock that NTP slews without a step drifts less than this in half a second.
+MIN_STEP_NS = 50_000_000
+# Reading both clocks must take less than this, and is repeated otherwise.
+_MAX_READ_NS = 5_000_000
 _READINGS = 5
-_MAX_BLOCKS_WAITED = 2  # for the stamps to jump
+# The timestamps of an adapter with its own clock never jump. They are awaited for so many blocks.
+_MAX_BLOCKS_WAITED = 2
 
 
 class WallClock:
-    """A wall clock whose steps are detected by the monotonic clock; it continues timestamps without
-    them.
+    """A wall clock whose steps are detected by means of the monotonic clock.
+
+    Its times, and the timestamps of frames, continue without the steps.
+
+    Attributes:
+        shift_ns: sum of the steps removed from timestamps.
     """
 
     def __init__(
         self,
         wall_ns: Callable[[], int] = time.time_ns,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        offset_ns: int | None = None,  # between the clocks when a session began; None: now
+        offset_ns: int | None = None,
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
         self._begin_ns = self._offset_ns = (
             wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
         )
-        self._last_ns: int | None = None  # latest stamp, uncorrected
-        # a step not yet seen in the stamps, and for how many blocks
+        self._last_ns: int | None = None  # latest timestamp, uncorrected
+        # A step that has not been seen in the timestamps yet, and for how many blocks.
         self._pending_ns, self._waited = 0, 0
-        self.shift_ns = 0  # sum of the steps removed from stamps
+        self.shift_ns = 0  # sum of the steps removed from timestamps
 
     def now_ns(self) -> int:
-        """Return the time without the steps of the wall clock, ns."""
+        """Return the wall clock without its steps, ns."""
         return self._begin_ns + self._monotonic_ns()
 
     def step_ns(self) -> int:
-        """Return the step of the wall clock since the last call, positive forward; 0 if it was not
-        set.
+        """Return the step of the wall clock since the last call in ns, positive if it was set
+        forward.
+
+        It is 0 if the clock was not set.
         """
         for _ in range(_READINGS):
             before = self._monotonic_ns()
@@ -155,9 +174,17 @@ class WallClock:
         return step
 
     def continued(self, stamps: Ints) -> Ints:
-        """Return timestamps of the next block of frames without the steps that `step_ns` found.
+        """Remove the steps that `step_ns` found from timestamps of the next block of frames.
 
-        Each step begins where the timestamps jump.
+        Each step is removed from where the timestamps jump.
+
+        Parameters
+        ----------
+        stamps : (m,) timestamps in ns.
+
+        Returns
+        -------
+        (m,) timestamps without the steps, ns.
         """
         if not len(stamps):
             return stamps
@@ -170,7 +197,8 @@ class WallClock:
                 shifts[k:] += self._pending_ns
                 self.shift_ns, self._pending_ns = self.shift_ns + self._pending_ns, 0
             self._waited += 1
-            if self._waited > _MAX_BLOCKS_WAITED:  # an adapter with a clock of its own
+            # The adapter has its own clock.
+            if self._waited > _MAX_BLOCKS_WAITED:
                 self._pending_ns = 0
         self._last_ns = int(stamps[-1])
         return np.asarray(stamps - shifts)

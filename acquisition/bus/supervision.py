@@ -1,8 +1,7 @@
-"""The heartbeat of this master, and the drives' own reactions to faults, read from
-them and reported as text.
+"""The heartbeat of this master, and the monitoring functions of the drives, as text.
 
-The heartbeat is sent only at SYNC: a session that hangs sends none, so the drives that supervise it
-(CiA 301, 1016h) stop.
+The heartbeat is sent only at SYNC. A session that hangs therefore sends none, and the drives that
+monitor it (CiA 301, 1016h) stop.
 """
 
 import math
@@ -19,7 +18,7 @@ HEARTBEATS_PER_TIMEOUT = 3
 def timeout_ms(file: BusFile) -> int:
     """Return the time without a heartbeat after which a drive reacts, ms.
 
-    It is three heartbeat intervals or SYNC periods, whichever is longer.
+    It is three heartbeat intervals or three SYNC periods, whichever is longer.
     """
     return math.ceil(
         round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6)
@@ -27,14 +26,17 @@ def timeout_ms(file: BusFile) -> int:
 
 
 def entry_of(file: BusFile) -> int:
-    """Return the value (U32) that this master writes to a sub-index of 1016h: node id << 16 |
-    timeout in ms.
-    """
+    """Return the value that this master writes to 1016h: node id << 16 | timeout in ms."""
     return file.master_node << 16 | timeout_ms(file)
 
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
-    """Return entries of a drive's 1016h, from sub-index 1; raise `BusFaultError` if it has none."""
+    """Read the entries of 1016h of a drive, from sub-index 1.
+
+    Raises
+    ------
+    BusFaultError : the drive does not have 1016h, or does not answer.
+    """
     return [
         master.read(node, cia.CONSUMER_HEARTBEAT, k + 1)
         for k in range(master.read(node, cia.CONSUMER_HEARTBEAT, 0))
@@ -42,10 +44,10 @@ def heartbeat_consumers(master: Master, node: int) -> list[int]:
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
-    """Return the sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no
-    node id).
+    """Return the sub-index of 1016h for `master_node`: its own, or an unused one.
 
-    It is None if there is none.
+    An entry is unused if its time is 0, or if its node id is not valid. The result is None if no
+    entry is free.
     """
     own = [k for k, entry in enumerate(entries, 1) if entry >> 16 == master_node]
     unused = [
@@ -55,23 +57,23 @@ def free_entry(entries: list[int], master_node: int) -> int | None:
 
 
 class MasterHeartbeat:
-    """The heartbeat of this master; call `request` before the first SYNC, and `release` once drives
-    are disabled.
+    """The heartbeat of this master.
+
+    Call `request` before the first SYNC, and `release` once the drives are disabled.
     """
 
     def __init__(self, master: Master) -> None:
         self._master, self._file = master, master.bus.file
-        # by node: sub-index of 1016h, and its value before
+        # Sub-index of 1016h and its value before, by node id.
         self._before: dict[int, tuple[int, int]] = {}
-        # A heartbeat is due at the last SYNC that is not later than `heartbeat_s`
-        # after the one before.
+        # Heartbeats are sent at SYNC: at the last one within `heartbeat_s` of the one before.
         self._due_ns = round(self._file.heartbeat_s * 1e9) - master.bus.period_ns
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
         """Write this master to 1016h of every drive, and start the heartbeat.
 
-        A line is returned for each drive without monitoring.
+        A warning is returned for each drive that does not monitor it.
         """
         refused = []
         for drive in self._master.bus.drives:
@@ -82,8 +84,8 @@ class MasterHeartbeat:
                 if sub is None:
                     raise BusFaultError("no sub-index is free", place=f"node {node}: object 1016")
                 before = entries[sub - 1]
-                # An entry of this master was left by a session that was killed: it
-                # is removed at the end.
+                # A session that was killed has left an entry of this master, which is removed at
+                # the end.
                 self._before[node] = (sub, 0 if before == entry else before)
                 self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, entry, 4)
             except BusFaultError as error:
@@ -93,9 +95,9 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop.
+        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which all others stop.
 
-        A line is returned for each refusal.
+        A warning is returned for each drive that refuses the write.
         """
         refused = []
         for node in disabled:
@@ -120,7 +122,8 @@ class MasterHeartbeat:
 
 ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
 NO_WINDOW = 2**32 - 1
-MIN_RAMP_SHARE = 0.5  # of the acceleration limit: a slower quick stop is refused
+# A quick stop deceleration below this share of the acceleration limit is refused.
+MIN_RAMP_SHARE = 0.5
 
 _RAMPS = {
     1: "slow-down deceleration",
@@ -131,7 +134,7 @@ _RAMPS = {
 _THEN_OFF = {0: "voltage off at once, the motor coasts"} | {
     k: f"{ramp}, then off" for k, ramp in _RAMPS.items()
 }
-# Values of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301) in words.
+# Meaning of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301).
 OPTIONS = {
     cia.ABORT_CONNECTION: {
         0: "a lost heartbeat has no effect",
@@ -158,10 +161,14 @@ Property = tuple[str, str]  # of a drive: name, value in words
 
 
 def supervision_of(master: Master, drive: Drive) -> list[Property]:
-    """Describe each monitoring function of a drive: loss of the master, stops, following error.
+    """Describe the monitoring functions of a drive: loss of the master, stops, following error.
 
-    They are read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An
-    object that the drive does not have is reported as missing; nothing is raised.
+    These objects are read: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h.
+    An object that the drive does not have is described as missing, and no error is raised.
+
+    Returns
+    -------
+    Names and values, as text.
     """
     behaviour, timer = (
         read_if_there(master, drive, ERROR_BEHAVIOUR, 1),
@@ -188,10 +195,11 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
 
 
 def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
-    """Return the quick stop deceleration in words, and the one that `--track` requires if it is too
-    slow.
+    """Read the quick stop deceleration of a drive.
 
-    The latter is empty otherwise.
+    Returns
+    -------
+    The deceleration as text, and the one that motion requires if the former is too low; else empty.
     """
     watch = master.by_node[drive.node]
     for index in cia.RAMP_OBJECTS:
@@ -208,15 +216,16 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     return (
         f"{ramp / scale:.4g} {unit}/s²{rest}",
         ""
-        if ramp >= min_ramp - 1  # drives state whole counts
+        # Drives report whole counts.
+        if ramp >= min_ramp - 1
         else f"at least {min_ramp / scale:.4g} for motion, half the acceleration limit",
     )
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
-    """Return the monitoring function that a drive lacks, empty for none.
+    """Return the monitoring functions that a drive lacks, as text; empty if it lacks none.
 
-    After a power cut of this computer nothing would stop such a drive.
+    If this computer loses power, nothing else stops the drive.
     """
     reaction, window = (
         index + axis_of(drive) for index in (cia.ABORT_CONNECTION, cia.FOLLOWING_ERROR_WINDOW)
@@ -237,7 +246,7 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
 
 
 def refuse_unsupervised(master: Master) -> None:
-    """Raise `RefusedError` where a drive does not supervise its master or its following error."""
+    """Raise `RefusedError` if a drive does not monitor its master or its following error."""
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
             raise RefusedError(
@@ -251,9 +260,7 @@ def refuse_unsupervised(master: Master) -> None:
 
 
 def second_stop(file: BusFile) -> str:
-    """Test whether the recorder's process can stop the drives when the session's process dies or
-    hangs.
-    """
+    """Describe whether the watchdog can stop the drives if the session dies or hangs."""
     return (
         "the recorder's process stops the drives if a session dies or hangs in motion"
         if file.interface in SHARED
@@ -281,7 +288,10 @@ def _consumers(master: Master, drive: Drive) -> Property:
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
-    """Return an option code in words; the CiA 402 objects of each further axis are 800h higher."""
+    """Return an option code and its meaning.
+
+    The CiA 402 objects of each further axis are 800h higher.
+    """
     raw, name = (
         read_if_there(master, drive, index + axis_of(drive)),
         f"{name} {index + axis_of(drive):04X}",
@@ -308,7 +318,10 @@ def _following_error(master: Master, drive: Drive) -> Property:
 
 
 def read_if_there(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
-    """Return the raw value; None where the drive does not have the object, or does not answer."""
+    """Read an object as an unsigned number.
+
+    The result is None if the drive does not have the object, or does not answer.
+    """
     if drive.dictionary is not None and (index, sub) not in drive.dictionary.entries:
         return None
     try:

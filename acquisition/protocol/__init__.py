@@ -1,7 +1,7 @@
 """CANopen (CiA 301) and CiA 402 as bytes, tables and words, without I/O and without robots.
 
-It owns states and commands, objects and their codecs, SDO and PDO, and object dictionaries (EDS,
-DCF), with the package canopen. It may use `errors` and `arrays`.
+This subpackage owns states and commands, objects and their codecs, SDO and PDO, and object
+dictionaries (EDS, DCF; with the package canopen). It may use `errors` and `arrays`.
 """
 
 from .dictionaries import IDENTITY, DictionaryEntry, ObjectDictionary, load_dictionary

@@ -1,4 +1,4 @@
-"""Object dictionaries in files: EDS and DCF (CiA 306), with canopen."""
+"""Object dictionaries in files, EDS and DCF (CiA 306), read with canopen."""
 
 import configparser
 import io
@@ -15,19 +15,25 @@ from .transfers import Key
 
 IDENTITY = 0x1018
 MAX_DICTIONARY_BYTES = 4 * 2**20
-Lines: TypeAlias = dict[str, str]  # values by keys in small letters
-# Lines that are neither a section nor `key = value`.
+Lines: TypeAlias = dict[str, str]  # values by keys in lower case
+# These lines are neither a section nor `key = value`, and the parser would refuse them.
 _OTHER = re.compile(r"(?m)^(?!\[[^;\]\n]+\]|[^\[=;#\n][^=;#\n]*=).*$")
 _ENTRY = re.compile(r"([0-9A-F]{4})(?:sub([0-9A-F]{1,2}))?")
 _COUNT = re.compile(r"0[xX][0-9a-fA-F]{1,2}|[1-9][0-9]{0,2}")
-# Octal numbers and decimal ones with leading zeros are the same up to 7: others are not read.
+# Leading zeros are removed from single digits. Larger numbers are not read, since they may be
+# octal.
 _ZEROS = re.compile(r"(?m)(?<==)[ \t]*0+(?=[0-9][ \t]*(?:;|$))")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryEntry:
-    """An entry: `type` is I8 to U32, or empty if no PDO can carry it; `value` is the
-    DCF's value or the default; `problem` says what cannot be read of it, and where.
+    """An entry of an object dictionary.
+
+    Attributes:
+        type: I8 to U32; empty if a PDO cannot carry it.
+        writable: True if the object can be written.
+        value: value of the DCF, or the default; None if there is none.
+        problem: what cannot be read of the entry, and where; else empty.
     """
 
     type: str = ""
@@ -38,7 +44,14 @@ class DictionaryEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectDictionary:
-    """Entries by (index, sub-index), the identity in the file (0 if not stated), and warnings."""
+    """An object dictionary from a file.
+
+    Attributes:
+        entries: entries by index and sub-index.
+        vendor: vendor number in [DeviceInfo]; 0 if it is not given.
+        product: product number in [DeviceInfo]; 0 if it is not given.
+        warnings: parts that are not read.
+    """
 
     entries: Mapping[Key, DictionaryEntry]
     vendor: int
@@ -47,7 +60,7 @@ class ObjectDictionary:
 
     @property
     def identity(self) -> list[tuple[int, str, int]]:
-        """Vendor and product, if given in 1018h or [DeviceInfo]: sub-index, name, number."""
+        """Sub-index, name and number of vendor and product, if 1018h or [DeviceInfo] gives them."""
         return [
             (sub, name, number)
             for sub, name, stated in ((1, "vendor", self.vendor), (2, "product", self.product))
@@ -58,19 +71,26 @@ class ObjectDictionary:
 
 @lru_cache(maxsize=32)
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Read types, access and values of an object dictionary (EDS or DCF, CiA 306)
-    by index and sub-index.
+    """Read types, access and values of an object dictionary (EDS or DCF, CiA 306).
 
-    `data` is the file's content, `node` replaces `$NODEID`. What cannot be read of an entry is
-    its `problem`, for those who need it. Raises `BadInputError` with `place`, the file's name, and
-    the line: a section or a key is there twice, or the file holds no objects.
+    An entry that cannot be read is not an error. Its `problem` is reported if the entry is needed.
+
+    Parameters
+    ----------
+    data : content of the file.
+    place : name of the file in errors.
+    node : node id, which replaces `$NODEID`.
+
+    Raises
+    ------
+    BadInputError : the file is too large, contains no objects, or contains a section or key twice.
     """
     Location(place).require(
         len(data) <= MAX_DICTIONARY_BYTES,
         text=f"the file has {len(data)} bytes",
         expected=f"at most {MAX_DICTIONARY_BYTES}",
     )
-    # Texts in other encodings are only names: numbers are the same in all of them.
+    # Only names may have other encodings, since numbers are the same in all of them.
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     file = _File(data.decode(encoding, errors="replace"), place, node)
     entries = {key: file.entry(lines, *value) for key, lines, *value in file.contents()}
@@ -94,17 +114,17 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
 
 
 class _File:
-    """A file's `sections` by their names in capitals, and its entries as canopen reads them.
+    """The sections of a file by their names in capitals, and its entries as canopen reads them.
 
-    What canopen refuses, or reads otherwise, is changed before: lines that say nothing, numbers
-    with leading zeros, compact storage.
+    Some parts that canopen refuses or misreads are changed before: lines without meaning, numbers
+    with leading zeros, and compact storage.
     """
 
     def __init__(self, text: str, place: str, node: int) -> None:
-        # canopen's warnings about readable files would be printed between our own output.
+        # canopen warns about readable files, and would print that between the output of a command.
         logging.getLogger("canopen").addHandler(logging.NullHandler())
         self._place, self._node = place, node
-        # The first lines may be in no section.
+        # The first lines may not belong to a section, so one is added.
         text = "\n".join(("[-]", *(line.strip() for line in io.StringIO(text, None))))
         self._text = re.sub(
             r"(?m)^\[.*",
@@ -124,11 +144,11 @@ class _File:
         self.sections = {name: dict(self._parser[name]) for name in self._parser.sections()}
 
     def contents(self) -> Iterator[tuple[Key, Lines, str, str]]:
-        """Return the lines that describe each entry, and the section and the key of its value.
+        """Yield the lines that describe each entry, and the section and key of its value.
 
-        Those of sub-indices come after their object, in whose lines nothing may stand. Compact
-        storage (CiA 306: CompactSubObj) is written out: all sub-indices have the lines of their
-        object, and the values of a section such as [1A00Value].
+        Sub-indices come after their object. Compact storage (CiA 306: CompactSubObj) is expanded:
+        all sub-indices have the lines of their object, and the values of a section such as
+        [1A00Value].
         """
         for name in sorted(filter(_ENTRY.fullmatch, self.sections)):
             lines, index, sub = self.sections[name], int(name[:4], 16), int(name[7:] or "0", 16)
@@ -147,7 +167,8 @@ class _File:
         """Return the entry that `lines` describe, with the value of a key in a section."""
         from canopen.objectdictionary import eds
 
-        # What canopen would not do without, and what nobody needs.
+        # canopen requires the first two keys. It would refuse some values of the last one, which is
+        # not used.
         given = {"parametername": "", "accesstype": "", **lines, "pdomapping": "0"}
         self._parser["-"] = given | {"defaultvalue": lines.get(key, "")}
         try:
@@ -155,7 +176,7 @@ class _File:
         except (configparser.Error, ValueError):
             return DictionaryEntry(problem=self._problem(lines, section, "datatype"))
         type_ = INTEGERS.get(found.data_type, "")
-        # Python's own numbers may have underscores.
+        # Python accepts underscores in numbers, but CiA 306 does not.
         known = type_ and isinstance(found.default, int) and "_" not in lines[key]
         return DictionaryEntry(
             type=type_,
@@ -165,7 +186,7 @@ class _File:
         )
 
     def _problem(self, lines: Lines, section: str, key: str) -> str:
-        """Say where a key is that has no number; empty if it is missing."""
+        """Return the line of a key whose value is not a number; empty if the key is missing."""
         found = key in lines and re.search(rf"(?ims)^\[{section}\].*?^({key})[ \t]*=", self._text)
         if not found:
             return ""

@@ -9,14 +9,14 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import BadInputError
 
-# Types of dictionaries by their number in CiA 301.
+# Data types by their number in CiA 301.
 INTEGERS = {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
 BITS = {kind: int(kind[1:]) for kind in INTEGERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectEntry:
-    """An entry of the object dictionary: `type` is I8 to U32."""
+    """An entry of the object dictionary: index, sub-index, and type (I8 to U32)."""
 
     index: int
     sub: int
@@ -24,7 +24,7 @@ class ObjectEntry:
 
     @property
     def bits(self) -> int:
-        """Size in a PDO."""
+        """Size in a PDO, bits."""
         return BITS[self.type]
 
     @property
@@ -34,7 +34,7 @@ class ObjectEntry:
 
     @property
     def mapping(self) -> int:
-        """The entry in a PDO mapping parameter: index, sub-index, bits."""
+        """Value in a PDO mapping parameter: index, sub-index, bits."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:
@@ -46,7 +46,7 @@ CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 DEVICE_TYPE, CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1000, 0x1016, 0x1017  # of CiA 301
 TEXTS = 0x1008, 0x1009, 0x100A  # device name, hardware version, software version
-# when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
+# Reaction of a drive that loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop.
 ABORT_CONNECTION = 0x6007
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = (
     0x605A,
@@ -56,8 +56,8 @@ STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION 
 )
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
 PROFILE_DECELERATION, QUICK_STOP_DECELERATION = 0x6084, 0x6085
-# Values of 605Ah with which a quick stop follows the ramp in an object; from 5 on
-# it then stays active.
+# Objects with the deceleration of a quick stop, by the value of 605Ah. With 5 or 6 the drive stays
+# in quick stop active.
 _RAMPS = {
     1: PROFILE_DECELERATION,
     2: QUICK_STOP_DECELERATION,
@@ -65,7 +65,8 @@ _RAMPS = {
     6: QUICK_STOP_DECELERATION,
 }
 VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
-RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nanotec
+# Drives of maxon and Nanotec encode these units in this way.
+RPM, _RPM_PER_S = 0x00B44700, 0x00C00300
 RAMP_OBJECTS = (
     QUICK_STOP_OPTION,
     QUICK_STOP_DECELERATION,
@@ -76,12 +77,12 @@ RAMP_OBJECTS = (
 POSITION_ACTUAL, VELOCITY_ACTUAL, TARGET_POSITION = 0x6064, 0x606C, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
 MOTION_LIMITS = POSITION_LIMITS, _MAX_VELOCITY, MAX_RPM = 0x607D, 0x607F, 0x6080
-# encoder, gear, feed: each a ratio, sub-index 1 over sub-index 2
+# Encoder, gear and feed are ratios, of sub-index 1 to sub-index 2.
 POSITION_UNITS = _, GEAR, _ = 0x608F, 0x6091, 0x6092
 HOME_OFFSET, INTERPOLATION_PERIOD = 0x607C, 0x60C2
 SUPPORTED_MODES = 0x6502
 
-# Entries whose type CiA 402 (or 301) fixes.
+# CiA 402 (or 301) defines the types of these entries.
 STANDARD = {
     (index, 0): kind
     for kind, indices in {
@@ -110,7 +111,7 @@ STANDARD |= {
     (POSITION_LIMITS, 2): "I32",
     **{(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)},
 }
-# Further ones of CiA 301 and 402, which simulated drives without a dictionary do not need.
+# These types are defined as well, but simulated drives without a dictionary do not need them.
 _MORE_TYPES = {
     (0x1029, 1): "U8",
     (0x1015, 0): "U16",
@@ -121,8 +122,14 @@ _MORE_TYPES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """Conversion of a raw integer to A, V, N m or N: raw · factor · the drive's value of the key
-    `rated`, if any.
+    """Conversion of a raw integer to A, V, N m or N.
+
+        value = raw · factor · rated
+
+    Attributes:
+        unit: unit of the result.
+        factor: factor of the raw integer.
+        rated: key in robot.toml of the rated value of the drive; empty for 1.
     """
 
     unit: str
@@ -142,7 +149,7 @@ RULES = {
     "mN": Rule(unit="N", factor=1e-3),
 }
 
-# Objects that hold a current or a torque: type, rule of the vendor's documentation, meaning.
+# Objects with a current or a torque: type, rule of the manufacturer's manual, meaning.
 EFFORT_OBJECTS = {
     (0x6074, 0): (
         "I16",
@@ -156,14 +163,18 @@ EFFORT_OBJECTS = {
     (0x221E, 0): ("I16", "0.01 A", "commanded current (Copley)"),
 }
 
-# Units of the rated values in drives; 6076h is mN m by CiA 402, and uN m in an EPOS4.
+# Units of the rated values in drives. By CiA 402, 6076h is in mN m, but an EPOS4 uses uN m.
 RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Conversion of raw integers of `entry` to SI at the motor, `scale` per unit; `provenance`:
-    source of the value.
+    """Conversion between raw integers and an effort at the motor.
+
+    Attributes:
+        entry: object with the effort.
+        scale: A, V, N m or N per raw unit.
+        provenance: source of the value, as text.
     """
 
     entry: ObjectEntry
@@ -171,11 +182,11 @@ class EffortCodec:
     provenance: str
 
     def si(self, raw: Ints) -> Array:
-        """Return A, V, N m or N, of any shape."""
+        """Convert raw integers of any shape to A, V, N m or N."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 
     def raw(self, value: Array) -> Ints:
-        """Return the nearest raw integers, limited to the range of the object's type as in a
+        """Convert efforts to the nearest raw integers, limited to the range of the type as in a
         drive.
         """
         return saturated(value / self.scale, self.entry.type)
@@ -183,8 +194,14 @@ class EffortCodec:
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Conversion of counts of one or n motors to rad (or m): counts = zero_counts + sign ·
-    counts_per_unit · position.
+    """Conversion between counts and motor positions, of one motor or of n.
+
+        counts = zero_counts + sign · counts_per_unit · position
+
+    Attributes:
+        counts_per_unit: counts per rad, or per m.
+        sign: 1 or -1.
+        zero_counts: counts at position 0.
     """
 
     counts_per_unit: float | Array
@@ -192,27 +209,30 @@ class PositionCodec:
     zero_counts: int | Array
 
     def si(self, raw: Ints) -> Array:
-        """Return the motor position in rad or m, of any shape."""
+        """Convert counts of any shape to positions in rad or m."""
         return np.asarray(
             (raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64
         )
 
     def exact(self, value: Array) -> Array:
-        """Return counts without rounding and limits."""
+        """Convert positions in rad or m to counts, without rounding and limits."""
         return np.asarray(
             value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64
         )
 
     def raw(self, value: Array) -> Ints:
-        """Return the nearest counts, limited to 32 bits."""
+        """Convert positions in rad or m to the nearest counts, limited to 32 bits."""
         return saturated(self.exact(value), "I32")
 
 
 def object_type(index: int, sub: int) -> str:
-    """Return the type of an object that is known here, of any axis; else U8 for the count of a
-    record of CiA 301, U32 for all others.
+    """Return the type of an object, of any axis.
+
+    The type of an object that is not known here is U8 for the count of a record of CiA 301, and U32
+    for all others.
     """
-    if index & 0xFE00 in (0x1400, 0x1800):  # communication parameters of PDOs
+    # These are the communication parameters of PDOs.
+    if index & 0xFE00 in (0x1400, 0x1800):
         return {0: "U8", 1: "U32", 3: "U16", 5: "U16"}.get(sub, "U8")
     # The objects of each further axis are 800h higher (CiA 402-2).
     first = 0x6000 | index & 0x7FF if 0x6000 <= index < 0xA000 else index
@@ -225,15 +245,15 @@ def object_type(index: int, sub: int) -> str:
 
 
 def size_of(index: int, sub: int) -> int:
-    """Return the size of an object of `object_type` in bytes."""
+    """Return the size of an object by its `object_type`, bytes."""
     return BITS[object_type(index, sub)] // 8
 
 
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
-    """Return position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a
-    feed 608Fh.
+    """Return the position units per motor turn from the values of 6092h, 6091h and 608Fh.
 
-    It is None if unknown.
+    They are the feed (6092h) divided by the gear (6091h, or 1). Without a feed they are given by
+    608Fh. The result is None if they are unknown.
     """
     encoder, gear, feed = (
         (values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS
@@ -242,11 +262,18 @@ def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> flo
 
 
 def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:
-    """Return the quick stop deceleration that 605Ah selects, counts/s² of the motor; None if
-    unknown.
+    """Return the quick stop deceleration that 605Ah selects, counts/s² of the motor.
 
-    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h
-    gives rpm/s or rpm.
+    Its unit is that of the position, unless 60AAh or 60A9h gives rpm/s or rpm.
+
+    Parameters
+    ----------
+    values : raw values of `RAMP_OBJECTS`.
+    codec : codec of the position.
+
+    Returns
+    -------
+    The deceleration; None if it is unknown.
     """
     raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
     unit = values.get(_ACCELERATION_UNIT) or values.get(VELOCITY_UNIT)
@@ -263,22 +290,22 @@ def range_of(kind: str) -> tuple[int, int]:
 
 
 def signed(raw: int, bits: int) -> int:
-    """Return the number of `bits` bits, read without sign, as a two's complement."""
+    """Convert an unsigned number of `bits` bits to a signed one (two's complement)."""
     return raw - (1 << bits) if raw >> (bits - 1) else raw
 
 
 def saturated(value: Array, kind: str) -> Ints:
-    """Return the nearest integers that the type `kind` can hold."""
+    """Return the nearest integers that the type `kind` can represent."""
     low, high = range_of(kind)
     return np.rint(np.minimum(np.maximum(value, low), high)).astype(np.int64)
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """Return 60C2h, count (U8) and power of ten (I8) of the SYNC period.
+    """Return count (U8) and power of ten (I8) of the SYNC period, for 60C2h.
 
     Raises
     ------
-    BadInputError : it has no exact form.
+    BadInputError : 60C2h cannot represent the period exactly.
     """
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit

@@ -1,8 +1,7 @@
-"""States, commands and transition table of CiA 402; statuswords, error codes and
-error frames in words.
+"""States, commands and transitions of CiA 402; statuswords, error codes and error frames in words.
 
-Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword
-6041h, controlword 6040h.
+Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword 6041h, controlword
+6040h.
 """
 
 from enum import Enum, IntEnum
@@ -11,7 +10,7 @@ from ..errors import BusFaultError
 
 
 class State(Enum):
-    """A state of the drive and its bits in the statusword: (mask, value)."""
+    """A state of the drive, with its bits in the statusword: (mask, value)."""
 
     NOT_READY_TO_SWITCH_ON = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -24,14 +23,14 @@ class State(Enum):
 
     @property
     def words(self) -> str:
-        """The name in lower case words."""
+        """Name in lower case, with blanks."""
         return self.name.lower().replace("_", " ")
 
 
 class Command(Enum):
-    """A command of the controlword: (mask, value).
+    """A command of the controlword, with its bits: (mask, value).
 
-    From operation enabled, SWITCH_ON is "disable operation".
+    In operation enabled, SWITCH_ON is the command "disable operation".
     """
 
     SHUTDOWN = (0x87, 0x06)
@@ -48,15 +47,14 @@ class Command(Enum):
 
 
 class Mode(IntEnum):
-    """Modes of operation, 6060h and 6061h."""
+    """A mode of operation, 6060h and 6061h."""
 
     CYCLIC_SYNCHRONOUS_POSITION = 8
 
 
 _S, _C = State, Command
 
-# State after a command (transitions 2 to 12, 15, 16). A command that is not here is
-# illegal in that state.
+# State after a command (transitions 2 to 12, 15, 16). Any other command is illegal in that state.
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
@@ -75,18 +73,24 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16
 }
 
-# Transitions without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
+# Transitions without a command (1 and 14). Transition 13, from any state to FAULT_REACTION_ACTIVE,
+# is made by the drive itself.
 AUTOMATIC: dict[State, State] = {
     _S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED,
     _S.FAULT_REACTION_ACTIVE: _S.FAULT,
 }
 
-# No torque in these: the power stage is off, or there is no target to follow.
+# A drive gives no torque in these states, because its power stage is off or it follows no target.
 DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}
 
 
 def state_of(statusword: int) -> State:
-    """Return the state in a statusword (6041h); raise `BusFaultError` for bits of no state."""
+    """Return the state in a statusword (6041h).
+
+    Raises
+    ------
+    BusFaultError : the bits are not those of a state.
+    """
     for state in State:
         if statusword & state.value[0] == state.value[1]:
             return state
@@ -94,17 +98,17 @@ def state_of(statusword: int) -> State:
 
 
 def command_of(controlword: int) -> Command | None:
-    """Return the command in a controlword (6040h), None for bits of no command."""
-    # a fault reset before all others
+    """Return the command in a controlword (6040h); None if the bits are not those of a command."""
+    # A fault reset takes precedence over all other commands.
     return next((c for c in reversed(Command) if controlword & c.value[0] == c.value[1]), None)
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """Return the first command on the shortest way to `goal`, None if none is needed.
+    """Return the first command on the shortest way from `state` to `goal`; None if none is needed.
 
     Raises
     ------
-    BusFaultError : there is no way.
+    BusFaultError : no commands lead there.
     """
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
@@ -181,9 +185,9 @@ _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
 def error_frame_words(can_id: int, data: bytes) -> str:
-    """Return classes of an error frame and their details.
+    """Describe the classes of an error frame and their details.
 
-    Bytes are in hex if no class is known (another adapter's frame).
+    If no class is known (another adapter), the text is identifier and data in hexadecimal.
     """
     data = data.ljust(8, b"\0")
     halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
@@ -204,13 +208,13 @@ def error_frame_words(can_id: int, data: bytes) -> str:
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
 
 
-# Bits of the statusword (6041h) other than those of the state; 12 and 13 as in cyclic synchronous
-# position mode (CiA 402-2).
+# Bits of the statusword (6041h) other than those of the state. 12 and 13 are those of the mode
+# cyclic synchronous position (CiA 402-2).
 REMOTE, FOLLOWS = 1 << 9, 1 << 12
 _SET = {1 << 7: "warning", 1 << 11: "internal limit active", 1 << 13: "following error"}
 _CLEAR = {1 << 4: "no voltage on the power stage", REMOTE: "not remote: the controlword is ignored"}
-# Error codes of emergencies, 1003h and 603Fh: CiA 301 table 26 and CiA 402-2 annex; a code belongs
-# to its longest prefix.
+# Error codes of emergencies, 1003h and 603Fh (CiA 301 table 26 and CiA 402-2 annex). The meaning of
+# a code is that of its longest prefix.
 _CODES = {
     "1": "generic",
     "2": "current",
@@ -260,7 +264,7 @@ _CODES = {
 
 
 def status_words(statusword: int) -> str:
-    """Return the state in a statusword, and its other bits that differ from normal operation."""
+    """Describe the state in a statusword, and its other bits that differ from normal operation."""
     try:
         words = [state_of(statusword).words]
     except BusFaultError:
@@ -275,7 +279,7 @@ def status_words(statusword: int) -> str:
 
 
 def notices(statusword: int) -> list[str]:
-    """Return warning, internal limit active, following error, if their bits are set."""
+    """Return the texts of these bits, if set: warning, internal limit active, following error."""
     return [text for bit, text in _SET.items() if statusword & bit]
 
 

@@ -1,9 +1,8 @@
-"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and size on the bus;
-expedited transfers.
+"""PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration, size, expedited transfers.
 
-The SDO functions are for our requests, the answers of simulated drives, and another master's
-traffic. Every object read or written here has at most four bytes, but for the texts that a
-scan reads in segments.
+The SDO functions serve the requests of this master, the answers of simulated drives, and the
+traffic of another master. Every object read or written has at most four bytes, except for the texts
+that a scan reads in segments.
 """
 
 import struct
@@ -19,18 +18,27 @@ _CODES = {"I8": "b", "I16": "h", "I32": "i", "U8": "B", "U16": "H", "U32": "I"}
 MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
 Key: TypeAlias = tuple[int, int]  # index and sub-index
-Values: TypeAlias = Mapping[Key, int | str]  # numbers, or words that say why one is not known
+Values: TypeAlias = Mapping[Key, int | str]  # numbers, or why a number is not known
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
-USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}  # of the first; 0x100 more for each of the next three
-# Identifiers of PDOs: below lie NMT, SYNC, emergencies and time, above SDO and heartbeats.
+# Identifier of the first PDO in the predefined connection set. That of each of the next three is
+# 0x100 higher.
+USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}
+# Identifiers of PDOs. Those of NMT, SYNC, emergencies and time are lower, those of SDO and
+# heartbeats are higher.
 LOWEST_CAN_ID, HIGHEST_CAN_ID = 0x181, 0x57F
 _IDENTIFIER = 0x3FFFFFFF  # of a COB-ID with bit 29, which marks 29-bit identifiers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pdo:
-    """A PDO: number from 1, identifier, entries in order."""
+    """A PDO.
+
+    Attributes:
+        number: number of the PDO, from 1.
+        can_id: identifier.
+        entries: objects in their order in the frame.
+    """
 
     number: int
     can_id: int
@@ -38,28 +46,33 @@ class Pdo:
 
     @property
     def bits(self) -> int:
-        """Bits of all entries."""
+        """Size of all entries, bits."""
         return sum(entry.bits for entry in self.entries)
 
     @property
     def length(self) -> int:
-        """Bytes of data."""
+        """Size of the data, bytes."""
         return self.bits // 8
 
     def offset(self, index: int, sub: int) -> int:
-        """Return the first byte in the frame of an object that is in it."""
+        """Return the position of an object in the frame, bytes."""
         keys = [entry.key for entry in self.entries]
         return sum(entry.bits for entry in self.entries[: keys.index((index, sub))]) // 8
 
     def pack(self, values: Mapping[tuple[int, int], int]) -> bytes:
-        """Return the frame's data from values by (index, sub-index); two's complement."""
+        """Return the data of the frame from values by index and sub-index."""
         return b"".join(
             (values[e.index, e.sub] % (1 << e.bits)).to_bytes(e.bits // 8, "little")
             for e in self.entries
         )
 
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
-        """Return values by (index, sub-index); raise `BadInputError` if the frame is too short."""
+        """Return values by index and sub-index.
+
+        Raises
+        ------
+        BadInputError : the frame is too short.
+        """
         if len(data) < self.length:
             Location(f"PDO 0x{self.can_id:03X}").refuse(
                 text=f"the frame has {len(data)} bytes", expected=f"at least {self.length}"
@@ -74,8 +87,9 @@ class Pdo:
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
-    """Return the identifier of CiA 301's predefined connection set, which has four PDOs in each
-    direction; else None.
+    """Return the identifier of a PDO in the predefined connection set of CiA 301.
+
+    It is None for a `number` higher than 4.
     """
     return USUAL_CAN_ID[direction] + 0x100 * (number - 1) + node if number <= 4 else None
 
@@ -83,10 +97,17 @@ def usual_can_id(direction: str, number: int, node: int) -> int | None:
 def configuration(
     direction: str, pdo: Pdo, no_remote: int = 0
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the writes that configure a PDO in PRE-OPERATIONAL, in CiA 301's order: index,
-    sub-index, value, size in bytes.
+    """Yield the writes that configure a PDO in PRE-OPERATIONAL, in the order of CiA 301.
 
-    `no_remote`: bit 30 of the drive's COB-ID, which drives without remote requests do not clear.
+    Parameters
+    ----------
+    direction : `tpdo` or `rpdo`.
+    pdo : the PDO.
+    no_remote : bit 30 of the drive's COB-ID. Drives without remote requests do not clear it.
+
+    Returns
+    -------
+    Index, sub-index, value, and size in bytes of each write.
     """
     communication, mapping = (first + pdo.number - 1 for first in PARAMETERS[direction])
     yield communication, 1, pdo.can_id | no_remote | NOT_VALID, 4
@@ -104,16 +125,22 @@ def pdos_of(
     types: Mapping[Key, str],
     place: str,
 ) -> tuple[Pdo, ...]:
-    """Return PDOs that `values` of a dictionary's parameters describe; `types` by object.
+    """Return the PDOs that the parameters in `values` describe.
 
-    Left out are disabled ones, identifier 0 and those whose identifier or number of entries is not
-    known.
+    Disabled PDOs, identifier 0, and PDOs with an unknown identifier or number of entries are left
+    out.
+
+    Parameters
+    ----------
+    direction : `tpdo` or `rpdo`.
+    values : values of objects, or why they are not known.
+    types : types of objects.
+    place : name of the source in errors.
 
     Raises
     ------
-    BadInputError : with the sub-index of an entry that is not known, or that no PDO of whole bytes
-        can
-        hold: the objects behind it would be at other bytes.
+    BadInputError : an entry is not known, or does not have the size of its object. Then the objects
+        after it would be at other bytes.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
@@ -147,8 +174,9 @@ def pdos_of(
 
 
 def words_of(values: Values, index: int) -> list[tuple[str, int | str]]:
-    """Return the values of an object with as many sub-indices as it says, and their names; those
-    that are 0 map nothing.
+    """Return names and values of the sub-indices of an object.
+
+    There are as many as its sub-index 0 gives. Values of 0 map nothing, and are left out.
     """
     count = values.get((index, 0))
     subs = range(1, (count & 0xFF) + 1) if isinstance(count, int) else range(1)
@@ -160,8 +188,9 @@ def words_of(values: Values, index: int) -> list[tuple[str, int | str]]:
 
 
 def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, int]]:
-    """Return the mapping parameters of `values` that say something else of the PDO with its
-    identifier.
+    """Return the mapping parameters in `values` that differ from `pdo`.
+
+    Only those of the PDO with the same identifier are compared.
     """
     communication, mapping = PARAMETERS[direction]
     stated = (len(pdo.entries), *(entry.mapping for entry in pdo.entries))
@@ -178,8 +207,9 @@ def contradicted(direction: str, pdo: Pdo, values: Values) -> list[tuple[Key, in
 
 
 def frame_bits(length: int) -> int:
-    """Return the bits of a data frame of `length` bytes: 11-bit identifier, gap and worst case of
-    bit stuffing.
+    """Return the size on the bus of a frame with `length` bytes of data, bits.
+
+    It has an 11-bit identifier. The gap and the worst case of bit stuffing are included.
     """
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
@@ -206,8 +236,14 @@ ABORTS = {  # codes by meaning
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is
-    the value or abort code, of four bytes where the frame has not `stated` a size.
+    """The content of an SDO frame.
+
+    Attributes:
+        kind: read, write, value, written, abort or other.
+        index: index of the object.
+        sub: sub-index.
+        data: value or abort code; of four bytes if the frame gives no size.
+        stated: True if the frame gives a size.
     """
 
     kind: str
@@ -228,14 +264,14 @@ def read_request(index: int, sub: int) -> bytes:
 
 
 def write_request(index: int, sub: int, value: int, size: int) -> bytes:
-    """Return a request to write an object of `size` bytes; negative values in two's complement."""
+    """Return a request to write an object of `size` bytes."""
     return _frame(
         0x23 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
     )
 
 
 def value_answer(index: int, sub: int, value: int, size: int) -> bytes:
-    """Return an answer with the value."""
+    """Return an answer with the value of an object."""
     return _frame(
         0x43 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little")
     )
@@ -247,26 +283,34 @@ def written_answer(index: int, sub: int) -> bytes:
 
 
 def abort_answer(index: int, sub: int, meaning: str) -> bytes:
-    """Return an abort of a transfer: one of `ABORTS`."""
+    """Return an abort of a transfer. `meaning` is a key of `ABORTS`."""
     return _frame(0x80, index, sub, ABORTS[meaning].to_bytes(4, "little"))
 
 
 def request_of(data: bytes) -> Transfer:
-    """Decode a client's frame; kind `other` if it is not an expedited transfer."""
+    """Decode the frame of a client. Its kind is `other` if it is not an expedited transfer."""
     return _read(data, {1: "write", 2: "read", 4: "abort"})
 
 
 def answer_of(data: bytes) -> Transfer:
-    """Decode a server's frame; kind `other` if it is not an expedited transfer."""
+    """Decode the frame of a server. Its kind is `other` if it is not an expedited transfer."""
     return _read(data, {2: "value", 3: "written", 4: "abort"})
 
 
 def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
-    """Return the number in the answer of a `node`, of the kind `wanted`.
+    """Return the number in an answer.
+
+    Parameters
+    ----------
+    answer : the answer.
+    wanted : its expected kind.
+    node : node id, for errors.
+    place : name of the object in errors.
 
     Raises
     ------
-    SdoAbortedError, NoAnswerError : the answer is an abort, or of another kind.
+    SdoAbortedError : the answer is an abort.
+    NoAnswerError : the answer is of another kind.
     """
     if answer.kind == "abort":
         raise SdoAbortedError(
@@ -283,42 +327,44 @@ def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
     return answer.number
 
 
-# What says what a device has mapped: parameters of PDOs, their storage and their defaults, both by
-# sub-index 1 of all parameters and 2 of those of communication.
+# Objects that decide what a device maps: parameters of PDOs, their storage and their defaults. For
+# the latter, sub-index 1 is for all parameters and 2 for those of communication.
 STORE, RESTORE = 0x1010, 0x1011
 SDO_OBJECTS = (STORE, RESTORE, *range(0x1400, 0x1C00))
 
 
 @dataclass(kw_only=True)
 class Confirmed:
-    """Values of a device by (index, sub-index) as its answers to another client say (CiA 301,
-    7.2.4); words where a value is not known, and why.
+    """Values of a device, as its answers to another client show (CiA 301, 7.2.4).
 
-    A write counts with its positive answer, and until the next start of the device unless it was
-    `stored`; where the device is `silent`, as its answers are in no log, at once. `refused`: what
-    it refused last, in words.
+    A write counts when it is answered, and until the next start of the device unless it was stored.
+
+    Attributes:
+        silent: True if the answers of the device are not in the log; then writes count at once.
+        values: values by index and sub-index, or why a value is not known.
+        refused: last write that the device refused, as text.
+        stored: values that the device has stored.
     """
 
     silent: bool = False
     values: dict[Key, int | str] = field(default_factory=dict)
     refused: str = ""
     stored: dict[Key, int | str] = field(default_factory=dict)
-    # What was written without an answer so far, and what was there before: a doubled frame has an
-    # answer for each of two.
+    # Values written without an answer so far, and the values before. There may be two of an object,
+    # because a duplicate frame has two answers.
     _open: dict[Key, list[tuple[int | str, int | str]]] = field(default_factory=dict)
 
     def take(self, service: int, sdo: bytes) -> bool:
-        """Take the data of a request (600h), of an answer (580h), or of another frame that shows a
-        device start.
+        """Take the data of a request (600h), of an answer (580h), or of a frame that shows a start.
 
-        Return True if it has other values from then on.
+        The result is True if values differ from then on.
         """
         if service == REQUEST:
             return self._asked(request_of(sdo))
         return self._answered(answer_of(sdo)) if service == ANSWER else self._started()
 
     def _asked(self, request: Transfer) -> bool:
-        """Return what a request writes, which is not known before its answer."""
+        """Note the value that a request writes, which is not known before its answer."""
         if request.kind not in ("write", "other"):
             return False
         key = (request.index, request.sub)
@@ -338,7 +384,7 @@ class Confirmed:
         self.values[key] = {"written": written, "value": answer.number}.get(answer.kind, now)
         if answer.kind == "written" and key[0] in (STORE, RESTORE) and key[1] in (1, 2):
             self.stored = dict(self.values) if key[0] == STORE else {}
-        # What is read for the first time has been there before.
+        # A value that is read for the first time was there before, so nothing has changed.
         return (
             (answer.kind == "written" or isinstance(before, int))
             and self.values[key] != before
