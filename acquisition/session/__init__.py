@@ -1,6 +1,6 @@
 """The session: record, enable, track, stop.
 
-It owns the loop that sends, its guards, and the recorder with the second stop in another process.
+This subpackage owns the loop that sends, its guards, and the recorder's process with the watchdog.
 Every way out of motion leaves the drives disabled. It may use `simulated`, `bus`, `recording`,
 `robot` and `protocol`.
 """

@@ -1,7 +1,7 @@
-"""A session's recorder: in the session's process for simulated time, else in a separate process.
+"""The recorder of a session: in its process for simulated time, else in a separate process.
 
-If an interface can be opened only once, the session passes its frames on; else the
-recorder opens the bus itself.
+If an interface can be opened only once, the session passes its frames on to the recorder. Otherwise
+the recorder opens the bus itself.
 """
 
 import multiprocessing
@@ -19,31 +19,39 @@ from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
 from .recorder import RecordedSummary, Recorder, Status
 
 MAX_START_S = 20.0  # of the process
-MAX_FINISH_S = 600.0  # for decoding a long session
-MAX_HUNG_FINISH_S = 10.0  # if there was no status for `MAX_SILENT_S`
-MAX_SILENT_S = 5.0  # without a status; then the disk counts as hung
+# A long session takes time to decode.
+MAX_FINISH_S = 600.0
+# After `MAX_SILENT_S` without a status, the disk counts as hung, and less time is left for decoding.
+MAX_HUNG_FINISH_S = 10.0
+MAX_SILENT_S = 5.0
 
 _ENDED = "the recorder's process ended before the session"
 OnStatus = Callable[[Status, int], None]  # called with each status, and the time
 
 
 class InlineLog:
-    """A recorder in the session's process, for simulated time: `tap` takes the link's frames."""
+    """A recorder in the process of the session, for simulated time.
+
+    The link calls `tap` with its frames.
+
+    Attributes:
+        on_status: called with each status and its time, ns.
+    """
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self._frames = recorder, list[Frame]()
         self.on_status: OnStatus = lambda status, stamp_ns: None
 
     def tap(self, frame: Frame) -> None:
-        """Take a frame sent or received by the session."""
+        """Take a frame that the session sent or received."""
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Record an event."""
+        """Record an event at the time `stamp_ns`."""
         self._recorder.event(stamp_ns, kind, text)
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Write the frames; return a status every half second."""
+        """Write the frames; return a status every half second, else None."""
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._write()
         status = self._recorder.tick(stamp_ns, 0)
@@ -52,13 +60,13 @@ class InlineLog:
         return status
 
     def alive(self) -> None:
-        """Do nothing: simulated drives need no watchdog."""
+        """Do nothing, because simulated drives need no watchdog."""
 
     def ended(self) -> None:
         """Do nothing, as `alive`."""
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """End the recording."""
+        """End the recording, and return its summary."""
         self._write()
         self._recorder.tick(stamp_ns, 0, now=True)
         return self._recorder.finish(stamp_ns)
@@ -75,8 +83,10 @@ class InlineLog:
 class ProcessLog:
     """A recorder in a separate process.
 
-    In the role `FED`, and only then, the session's link calls `tap`. It raises `BusFaultError` if
-    the process cannot open the bus or the file.
+    Only in the role `FED` the link of the session calls `tap`.
+
+    Attributes:
+        on_status: called with each status and its time, ns.
     """
 
     def __init__(
@@ -88,12 +98,25 @@ class ProcessLog:
         offset_ns: int | None = None,
         payload: Payload | None = None,
     ) -> None:
-        """Start the process; `offset_ns`: the session's clock, used for its events, minus the
-        monotonic clock.
+        """Start the process.
+
+        Parameters
+        ----------
+        path : the recording to write.
+        robot : the robot with its bus.
+        place : name of the description in errors.
+        role : task of the process.
+        offset_ns : clock of the session, which its events use, minus the monotonic clock, ns.
+        payload : what the robot carries.
+
+        Raises
+        ------
+        BusFaultError : the process cannot open the bus or the file.
         """
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
-        watched, watching = context.Pipe()  # only a guard reads it
+        # Only the role GUARD reads this pipe.
+        watched, watching = context.Pipe()
         self._watchdog_pipe = WatchdogPipe(watching)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
@@ -103,9 +126,9 @@ class ProcessLog:
             name="recorder",
             daemon=True,
         )
-        # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it
-        # before it ignores them.
-        resource_tracker.ensure_running()  # its first start would unblock the signals
+        # A Ctrl-C of the whole group must not end the process before it ignores signals, so they
+        # are blocked while it starts. The first start of the resource tracker would unblock them.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         try:
             self._process.start()
@@ -119,21 +142,21 @@ class ProcessLog:
         self._heard_s, self._hangs = time.monotonic(), False
 
     def tap(self, frame: Frame) -> None:
-        """Take a frame sent or received by the session."""
+        """Take a frame that the session sent or received."""
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Record an event."""
+        """Record an event at the time `stamp_ns`."""
         self._send(("event", stamp_ns, kind, text))
 
     def granted(self, counters: dict[str, float]) -> None:
-        """Record the scheduling granted to the session's process, in `/health`."""
+        """Record the scheduling that the system granted to the session, in `/health`."""
         self._send(("granted", counters))
 
     def alive(self) -> None:
         """Send a heartbeat to the watchdog.
 
-        Call this only from the session loop: a helper thread would keep sending after the loop has
+        Only the SYNC loop may call this: a helper thread would keep sending after the loop has
         hung.
         """
         self._watchdog_pipe.alive()
@@ -143,9 +166,9 @@ class ProcessLog:
         self._watchdog_pipe.ended()
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Return the latest status, None if there is no new one.
+        """Return the latest status; None if there is no new one.
 
-        The SYNC loop calls this at every SYNC, as a heartbeat.
+        The SYNC loop calls this at every SYNC, which is also a heartbeat to the watchdog.
 
         Raises
         ------
@@ -171,7 +194,12 @@ class ProcessLog:
         return status
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """End the recording; raise `BusFaultError` if the recorder has ended before."""
+        """End the recording, and return its summary.
+
+        Raises
+        ------
+        BusFaultError : the recorder has ended before, or does not finish in time.
+        """
         self.ended()
         if self._frames:
             self._hand_over()

@@ -1,4 +1,4 @@
-"""Enabling and disabling of all drives together, and the conditions that must hold in between.
+"""Enabling and disabling of all drives together, and the guards of motion in between.
 
 While a drive is not enabled, its target follows the measured position. Once it reports operation
 enabled, its target stays at the last position before. If the target continued to follow, the arm
@@ -16,7 +16,8 @@ from ..errors import BusFaultError
 from ..protocol import FOLLOWS, REMOTE, Command, State, error_words, status_words, toward
 from ..robot import Joint, Robot
 
-ENABLE_S = 5.0  # for all drives to be enabled, or disabled
+# All drives must be enabled, or disabled, within this time.
+ENABLE_S = 5.0
 # One transition at a time, so that a drive can decelerate and engage its brake
 # before voltage is off.
 _DOWN: dict[State | None, Command] = {
@@ -35,18 +36,19 @@ def all_enabled(master: Master) -> bool:
 def enable(
     master: Master, targets: list[int], in_fault: Collection[int] = ()
 ) -> Iterator[Orders | None]:
-    """Yield commands for each SYNC until every drive is in operation enabled; None where nothing is
-    to be sent.
+    """Yield commands for each SYNC until every drive is in operation enabled.
+
+    It yields None if nothing is to be sent.
 
     Parameters
     ----------
-    master : the drives.
-    targets : empty; receives the target counts (n) at which the drives are held.
-    in_fault : nodes whose faults the operator confirmed; only these are reset.
+    master : has the drives.
+    targets : an empty list; it receives the target counts (n) at which the drives are held.
+    in_fault : node ids of drives whose faults the operator confirmed; only these are reset.
 
     Raises
     ------
-    BusFaultError : another fault, or not enabled after 5 s.
+    BusFaultError : another drive is in fault, or not all drives are enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -75,7 +77,8 @@ def enable(
             if state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
             elif command is Command.FAULT_RESET and k % 2:
-                command = None  # a drive acts on the rising edge of this bit
+                # A drive acts on the rising edge of this bit, so it is cleared in every other SYNC.
+                command = None
             controls.append(command.controlword if command else 0)
         yield list(zip(controls, targets, strict=True))
     late = ", ".join(
@@ -89,9 +92,14 @@ def enable(
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
     """Yield commands that hold the targets until every drive is in switch on disabled or fault.
 
+    Parameters
+    ----------
+    master : has the drives.
+    targets : target counts (n).
+
     Raises
     ------
-    BusFaultError : not so after 5 s.
+    BusFaultError : not all drives are in these states after 5 s.
     """
     for _ in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         states = [watch.state for watch in master.nodes]
@@ -104,13 +112,16 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
     raise BusFaultError(f"not all drives are disabled after {ENABLE_S:g} s")
 
 
-SILENT_SYNCS = 3  # in a row without an answer of a drive are a fault
+# A single lost frame is not a fault, but so many SYNCs in a row without an answer are.
+SILENT_SYNCS = 3
 LOST_HEARTBEATS = 3
-SPEED_MARGIN = 1.2  # times the limit: the speed may overshoot while tracking
+# The speed may overshoot its limit by this factor while a drive tracks.
+SPEED_MARGIN = 1.2
 SPEED_SYNCS = 5  # over which speed is measured
-CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0 are a fault
-# Bits of the statusword that are 1 in operation. Some drives never set them: a bit is
-# checked once it was 1.
+# A bit of _OPERATING that is 0 in so many SYNCs in a row is a fault.
+CLEAR_SYNCS = 3
+# Bits of the statusword that are 1 in operation. Some drives never set them, so a bit is checked
+# only once it was 1.
 _OPERATING = {
     REMOTE: "does not accept commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
@@ -119,23 +130,31 @@ _OPERATING = {
 
 @dataclass(kw_only=True)
 class MotionState:
-    """State of the motion for the guards, from the start of enabling on."""
+    """The state of a motion for the guards, from the start of enabling on.
 
-    enabling: bool = True  # until all drives have been enabled for `enable_watch_s`
-    start: Array | None = None  # joint positions (n,) when enabling began
-    # joint positions of the last SYNCs, latest last
+    Attributes:
+        enabling: True until all drives have been enabled for `enable_watch_s`.
+        start: joint positions (n,) when enabling began, rad or m.
+        measured: joint positions (n,) at the last SYNCs, latest last.
+        target: target position (n,) that belongs to the last measured one; None without a target.
+        enabled: node ids of drives that have been enabled.
+        bits_seen: bits of the statusword that were set while a drive was enabled, by node id.
+        clear_syncs: SYNCs in a row with a cleared bit, by node id and bit.
+    """
+
+    enabling: bool = True
+    start: Array | None = None
     measured: list[Array] = field(default_factory=list)
-    target: Array | None = None  # target position (n,) of the drives, None where they have none
-    enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
-    # of the statusword, by node, set while it was enabled
+    target: Array | None = None
+    enabled: set[int] = field(default_factory=set)
     bits_seen: dict[int, int] = field(default_factory=dict)
-    # SYNCs in a row in which a (node, bit) was 0
     clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
-    """Return the fault that ends any active session: emergency, restart, lost heartbeat, missed
-    answers, bus error.
+    """Return the fault of a node or the bus that ends any active session; else None.
+
+    Faults are an emergency, a restart, a lost heartbeat, missing answers, and errors of the bus.
     """
     if master.bus_error is not None:
         return BusFaultError(master.bus_error, place="bus")
@@ -172,8 +191,9 @@ def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
 
 
 def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
-    """Return the fault of a drive that has left operation enabled, or does not follow commands by
-    its statusword.
+    """Return the fault of a drive that does not follow commands, by its statusword; else None.
+
+    The drive has left operation enabled, or has cleared a bit of `_OPERATING`.
     """
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
@@ -201,8 +221,9 @@ def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
 
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultError | None:
-    """Return the fault of a joint: limits of position, speed, following error, and motion while
-    drives are enabled.
+    """Return the fault of a joint that exceeds a limit; else None.
+
+    The limits are those of position, speed, following error, and motion while drives are enabled.
     """
     q, file = motion.measured[-1], master.bus.file
     before = motion.measured[-1 - SPEED_SYNCS] if len(motion.measured) > SPEED_SYNCS else None

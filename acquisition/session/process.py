@@ -1,9 +1,8 @@
-"""The recorder's process: it receives, appends and writes, and stops the drives of a session that
-dies or hangs in motion.
+"""The recorder's process, with the watchdog that stops the drives if a session dies or hangs.
 
-Only the session's SYNC loop sends signs of life, through a pipe at every SYNC. The first one arms
-the watchdog; only a session that ends in order disarms it. When the pipe ends or a sign is missing,
-the bus is opened for sending and `stop_drives` runs.
+Only the SYNC loop of the session sends heartbeats to the watchdog, through a pipe at every SYNC.
+The first heartbeat arms the watchdog. Only a session that ends in order disarms it. When the pipe
+ends or a heartbeat is missing, the watchdog opens the bus for sending and calls `stop_drives`.
 """
 
 import os
@@ -39,61 +38,75 @@ from ..robot import Bus, BusFile, Payload, Robot, resolve, robot_from_files
 from .recorder import RecordedSummary, Recorder
 
 BLOCK_S = 0.1
-# handled by the session's process
+# The session's process handles these signals.
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+# The watchdog timeout is the longer of this time and so many SYNC periods.
 SILENT_S = 0.3
-SILENT_PERIODS = 3  # of SYNC, if longer than SILENT_S
+SILENT_PERIODS = 3
 ALIVE, ENDED = b"\1", b"\0"
 
 
 def silence_s(file: BusFile) -> float:
-    """Return the watchdog timeout, s: without a heartbeat for this long, the session counts as
-    hung.
+    """Return the watchdog timeout in s.
+
+    After so long without a heartbeat, the session counts as hung.
     """
     return max(SILENT_S, SILENT_PERIODS * file.sync_period_s)
 
 
 class WatchdogPipe:
-    """The session's end of the pipe. It never blocks: a recorder that hangs must not delay SYNC."""
+    """The end of the watchdog's pipe in the session.
+
+    It never blocks, because a recorder that hangs must not delay SYNC.
+    """
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._sign = connection, ALIVE
         os.set_blocking(connection.fileno(), False)
 
     def alive(self) -> None:
-        """Send a heartbeat; after `ended`, the end instead."""
-        # full, or nobody reads: the missing status of the recorder shows it
+        """Send a heartbeat; after `ended`, send the end instead."""
+        # The pipe is full, or not read any more. Then the status of the recorder is missing, too.
         with suppress(OSError):
             os.write(self._connection.fileno(), self._sign)
 
     def ended(self) -> None:
-        """Disarm: every drive has confirmed, or the session has ended and reported the others."""
+        """Disarm the watchdog.
+
+        Every drive has confirmed, or the session has ended and reported the others.
+        """
         self._sign = ENDED
         self.alive()
 
     def stopped(self) -> str:
-        """Return the reason for which the watchdog acts, empty if it does not.
+        """Return why the watchdog acts; empty if it does not.
 
-        It is set before its first frame can be received.
+        The text is sent before the first frame of the watchdog can be received.
         """
-        with suppress(OSError):  # nothing to read
+        # There is nothing to read.
+        with suppress(OSError):
             return os.read(self._connection.fileno(), 4096).decode()
         return ""
 
     def close(self) -> None:
-        """Close the pipe; without `ended()` this counts as the session's death."""
+        """Close the pipe. Without `ended` before, this counts as the death of the session."""
         self._connection.close()
 
 
 class Watchdog:
-    """The recorder's end of the pipe: a thread that waits for heartbeats, and stops the drives
-    without them.
+    """The end of the pipe in the recorder's process: a thread that stops the drives.
+
+    It waits for heartbeats, and acts if they are missing.
+
+    Attributes:
+        events: events for the recording.
+        reason: why it has stopped the drives; None if it has not.
     """
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
         self._connection, self._bus = connection, bus
-        self.events = deque[tuple[int, str, str]]()  # stamp, kind and text for the recording
-        self.reason: str | None = None  # for which it stopped the drives
+        self.events = deque[tuple[int, str, str]]()  # time, kind and text for the recording
+        self.reason: str | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -107,7 +120,10 @@ class Watchdog:
             self._stop_drives(reason)
 
     def _wait_for_failure(self) -> str | None:
-        """Wait until the session's process has ended or hangs; None where it has ended in order."""
+        """Wait until the session has died or hangs, and return why.
+
+        The result is None if the session has ended in order.
+        """
         armed, longest_s = False, silence_s(self._bus.file)
         while True:
             ready, _, _ = select.select([self._connection], [], [], longest_s if armed else None)
@@ -123,17 +139,19 @@ class Watchdog:
 
     def _stop_drives(self, reason: str) -> None:
         self.reason = f"{reason}: the watchdog stopped the drives"
-        # before the first frame: the session must not attribute it to another master
+        # The session must know before the first frame, and not attribute it to another master.
         with suppress(OSError):
             os.write(self._connection.fileno(), self.reason.encode())
         self._event("fault", self.reason)
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:
             unconfirmed = stop_drives(self._bus)
-        except Exception as error:  # whatever it is: the drives that may be enabled are named
+        # Whatever the error is, the drives that may be enabled must be named.
+        except Exception as error:
             self._event("fault", f"the watchdog could not stop the drives: {error}")
         if unconfirmed:
-            with suppress(OSError, ValueError):  # a closed terminal
+            # The terminal may be closed.
+            with suppress(OSError, ValueError):
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
                 sys.stderr.flush()
             self._event("not disabled", not_disabled(unconfirmed))
@@ -145,11 +163,10 @@ class Watchdog:
 
 
 class Role(Enum):
-    """The task of the recorder's process; in all but `LISTENER` the session is the master.
+    """The task of the recorder's process. In all roles but `LISTENER` the session is the master.
 
-    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` also stops the drives
-    when the session dies or hangs. `FED` gets the frames from the session, if the interface
-    can be opened only once.
+    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` is also the watchdog. `FED`
+    gets the frames from the session, because the interface can be opened only once.
     """
 
     LISTENER = "passive"
@@ -166,12 +183,21 @@ def run(
     role: Role,
     payload: Payload | None,
 ) -> None:
-    """Run the recorder's process; `pipes`: to the session, and of its heartbeats.
+    """Run the recorder's process.
 
-    It ignores signals such as Ctrl-C, and ends on request or when the session has died.
+    It ignores signals such as Ctrl-C. It ends on request, or after the session has died.
+
+    Parameters
+    ----------
+    pipes : pipe to the session, and pipe of its heartbeats.
+    path : the recording to write.
+    files : files of the robot description, by name.
+    place : name of the description in errors.
+    role : task of the process.
+    payload : what the robot carries.
     """
     connection, watched = pipes
-    # Ctrl-Z halts the session: its watchdog must still run
+    # Ctrl-Z halts the session, but its watchdog must still run.
     for number in (*STOPPING, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
@@ -210,9 +236,7 @@ def run(
 
 
 def _master_ids(robot: Robot, place: str) -> Ints:
-    """Return identifiers of frames that only the master sends, which in an active session is this
-    program.
-    """
+    """Return the identifiers of frames that only this program sends in an active session."""
     bus = resolve(robot, place)
     return np.array(
         [
@@ -236,7 +260,8 @@ def _record(
         thread.start()
     connection.send(("ready", None))
     stop_ns, gone = None, False
-    clock = WallClock()  # until the session's clock is known
+    # This clock is used until that of the session is known.
+    clock = WallClock()
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
@@ -248,7 +273,7 @@ def _record(
                     case "frames", data:
                         block = np.frombuffer(data, FRAME).copy()
                         _note_step(recorder, clock)
-                        # frames sent have the session's time already
+                        # Frames that the session sent have its time already.
                         received = (block["flags"] & SENT) == 0
                         block["time_ns"][received] = clock.continued(block["time_ns"][received])
                         recorder.add(block)
@@ -263,7 +288,8 @@ def _record(
             if watchdog is None or not watchdog.waiting:
                 stop_ns = clock.now_ns()
             else:
-                time.sleep(BLOCK_S / 5)  # the pipe of a session that is gone is always ready
+                # The pipe of a session that has ended is always ready, so that `poll` never waits.
+                time.sleep(BLOCK_S / 5)
         if watchdog is not None:
             while watchdog.events:
                 stamp_ns, kind, text = watchdog.events.popleft()
@@ -275,8 +301,8 @@ def _record(
             block = receiver.take()
             _note_step(recorder, clock)
             block["time_ns"] = clock.continued(block["time_ns"])
-            # The kernel marks frames sent by any program of this machine; SENT means
-            # sent by this session.
+            # The kernel marks frames that any program of this computer sent, but SENT means sent by
+            # this session.
             block["flags"] &= 0xFF ^ SENT
             block["flags"][np.isin(block["can_id"], ours)] |= SENT
             recorder.add(block)
@@ -287,14 +313,16 @@ def _record(
             clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0
         )
         if status is not None:
-            with suppress(OSError):  # the next `poll` finds the session dead
+            # If the session has died, the next `poll` finds it out.
+            with suppress(OSError):
                 connection.send(("status", status))
     return recorder.finish(stop_ns)
 
 
 def _note_step(recorder: Recorder, clock: WallClock) -> None:
-    """Record that the computer's clock was set; called after frames from before and
-    after the step were taken.
+    """Record that the computer's clock was set.
+
+    This is called after frames from before and after the step were taken.
     """
     if step_ns := clock.step_ns():
         recorder.event(

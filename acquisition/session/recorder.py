@@ -1,6 +1,4 @@
-"""Writes the frames of a session: on the disk every half second, with status and
-counters, decoded at the end.
-"""
+"""The recorder of a session: it writes frames, status and counters, and decodes them at the end."""
 
 import os
 import shutil
@@ -18,32 +16,46 @@ from ..errors import BadInputError, Location
 from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
-MIN_FREE_BYTES = 100 * 2**20  # with less free space on the disk the session ends
+# With less free space on the disk, the session ends.
+MIN_FREE_BYTES = 100 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """State of the recorder, every half second."""
+    """The state of the recorder, every half second.
 
-    frames: int = 0  # in all
-    rate_hz: float = 0.0  # of frames, in the last half second
-    drops: int = 0  # frames that the kernel dropped
-    # number of PDOs so far that were late, missing, duplicate or too short, by word
+    Attributes:
+        frames: number of all frames.
+        rate_hz: rate of frames in the last half second.
+        drops: number of frames that the kernel dropped.
+        losses: number of PDOs that were late, missing, duplicate or too short, by these words.
+        lowest: lowest position of each joint, rad or m; empty before the first sample.
+        highest: highest position of each joint.
+        ends: why the session has to end; empty if it can continue.
+    """
+
+    frames: int = 0
+    rate_hz: float = 0.0
+    drops: int = 0
     losses: Mapping[str, int] = field(
         default_factory=lambda: dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
     )
-    # position of each joint so far, rad or m; empty before the first sample
     lowest: tuple[float, ...] = ()
     highest: tuple[float, ...] = ()
-    ends: str = ""  # why the session has to end; empty if it has not
+    ends: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """Result of a recording: number of samples, or why there are none, and warnings.
+    """The result of a recording.
 
-    `path`: where it is, another one than requested if that was deleted; None: it has no frames and
-    was removed.
+    Attributes:
+        frames: number of frames.
+        samples: number of samples.
+        warnings: warnings of the decoder.
+        no_samples: why there are no samples; else empty.
+        path: where the recording is, which has a new name if the file was deleted; None if it had
+            no frames and was removed.
     """
 
     frames: int
@@ -54,8 +66,11 @@ class RecordedSummary:
 
 
 def refuse_taken(path: Path) -> None:
-    """Raise `BadInputError` if a new recording cannot have this name: it is taken, or its folder
-    cannot be written.
+    """Check that a new recording can have this name.
+
+    Raises
+    ------
+    BadInputError : the file exists, or its folder cannot be written.
     """
     taken = path.exists()
     Location(str(path)).require(
@@ -66,9 +81,11 @@ def refuse_taken(path: Path) -> None:
 
 
 class Recorder:
-    """The writer of the recording `path`; flushed data survives a kill.
+    """The writer of a recording. Data that is flushed survives a kill of the process.
 
-    It raises `BadInputError` if the file exists or writing fails.
+    Attributes:
+        channel: name of the channel in the recording.
+        granted: counters for every message of `/health`.
     """
 
     def __init__(
@@ -96,7 +113,8 @@ class Recorder:
             },
         )
         try:
-            path.touch(exist_ok=False)  # of two sessions that begin at once, one has the name
+            # If two sessions begin at once, only one of them gets the name.
+            path.touch(exist_ok=False)
             self._writer = recording.RecordingWriter(path, header)
         except OSError as error:
             raise BadInputError(
@@ -107,14 +125,15 @@ class Recorder:
         )
         self._recent: list[recording.Block] = []  # since the last status
         self._status = Status()
-        self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
+        # These counters are constant, and written with every message of `/health`.
+        self.granted: dict[str, float] = {}
         self._flushed_ns: int | None = None
         self._fd_frames, self._ends, self._is_empty = 0, "", True
 
     def add(self, block: recording.Block) -> None:
-        """Write frames in the order of reception; programs that follow the file see them at once.
+        """Write frames in the order of reception. Programs that follow the file see them at once.
 
-        CAN FD is only counted.
+        Frames of CAN FD are only counted.
         """
         of_fd = (block["flags"] & recording.CAN_FD) != 0
         self._fd_frames += int(of_fd.sum())
@@ -126,7 +145,10 @@ class Recorder:
             self._recent.append(block)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Write an event, and flush unless it is a phase or a note, of which there may be many."""
+        """Write an event, and flush.
+
+        Phases and notes are not flushed, because there may be many.
+        """
         self._writer.event(stamp_ns, kind, text)
         if kind == "operator":
             self._is_empty = False
@@ -134,7 +156,10 @@ class Recorder:
             self._writer.flush()
 
     def tick(self, stamp_ns: int, drops: int, *, now: bool = False) -> Status | None:
-        """Flush and return a status every half second, else None."""
+        """Flush and return a status every half second, else None.
+
+        `drops` is the number of frames that the kernel dropped; `now` flushes at once.
+        """
         if self._flushed_ns is None:
             self._flushed_ns = stamp_ns
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
@@ -154,7 +179,8 @@ class Recorder:
 
     def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
         last, found = self._status, dict[str, Any]()
-        with suppress(BadInputError):  # while there is no SYNC, or no drive answers
+        # Frames cannot be decoded while there is no SYNC, or no drive answers.
+        with suppress(BadInputError):
             if self._bus is None:
                 recent, self._bus = recording.resolve_mapped(recent, self._robot, self._place)
             decoded = recording.decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
@@ -177,7 +203,7 @@ class Recorder:
         """Decode the recorded frames, write the samples after them, and close the file."""
         self._writer.flush()
         self._watch_file()
-        # by its descriptor, as the file may have been renamed
+        # The descriptor is used, because the file may have been renamed.
         written = recording.read_recording(Path(f"/proc/self/fd/{self._writer.fileno()}"))
         frames = written.frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
@@ -189,8 +215,9 @@ class Recorder:
         return replace(found, path=None if self._is_empty else self._path)
 
     def _watch_file(self) -> None:
-        """Find out whether the session has to end; a file that was deleted is written again from
-        its descriptor, under a new name.
+        """Check whether the session has to end.
+
+        A deleted file is written again from its descriptor, under a new name.
         """
         if not os.fstat(self._writer.fileno()).st_nlink:
             names = (self._path.with_stem(f"{self._path.stem}-{k}") for k in count(2))
@@ -202,10 +229,11 @@ class Recorder:
             self._ends = self._ends or "the disk is nearly full"
 
     def close(self) -> None:
-        """Close the file as it is; one without frames and notes of the operator is removed."""
+        """Close the file as it is. A file without frames and notes of the operator is removed."""
         if self._is_empty:
-            with suppress(OSError, ValueError):  # it is gone, or was closed before
-                # another file may have its name by now
+            # The file may be gone, or closed before.
+            with suppress(OSError, ValueError):
+                # Another file may have its name by now, and must stay.
                 if os.path.samestat(os.fstat(self._writer.fileno()), self._path.stat()):
                     self._path.unlink()
         self._writer.close()
@@ -218,8 +246,17 @@ def write_decoded(
     stamp_ns: int,
     place: str,
 ) -> RecordedSummary:
-    """Decode frames and write samples, counters and warnings, or the reason
-    why there are no samples.
+    """Decode frames, and write samples, counters and warnings.
+
+    If there are no samples, the reason is written.
+
+    Parameters
+    ----------
+    writer : writer of the recording.
+    frames : (m,) rows of `FRAME`.
+    robot : the robot with its bus.
+    stamp_ns : time of the written events, ns.
+    place : name of the recording in errors.
     """
     try:
         mapped, bus = recording.resolve_mapped(frames, robot, place)
@@ -234,7 +271,7 @@ def write_decoded(
 
 
 def _table(bus: Bus) -> dict[str, str]:
-    """Return the PDO table and raw rated values, for the metadata."""
+    """Return the PDOs and the raw rated values, for the metadata."""
     return {
         "pdo_table": "; ".join(
             f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"

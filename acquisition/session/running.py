@@ -1,6 +1,4 @@
-"""What the commands `record` and `emulate` run: sessions with link, recorder and status; frames of
-a recording, sent again onto an idle bus.
-"""
+"""The sessions of `record`, with link, recorder and status; and the replay of `emulate`."""
 
 import signal
 import time
@@ -59,27 +57,31 @@ from .session import Outcome, Stop, Task, run_active
 from .timing import real_time_scheduling, refuse_jitter, scheduling_words
 
 STOPPED = "stopped by"
-INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"  # by the operator
+# The operator has pressed Ctrl-C, which is not an error.
+INTERRUPTED = f"{STOPPED} {signal.SIGINT.name}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class UserInterface:
-    """The way in which a session is stopped, shows its state and asks its operator. By default
-    nothing moves.
+    """The callbacks by which a session is stopped, shows its state and asks its operator.
 
-    `confirm` shows the joint positions and the drives in fault before motion, and returns True if
-    the operator confirms them.
+    By default nothing moves.
+
+    Attributes:
+        stop: ends the session when its `reason` is set.
+        confirm: shows joint positions and drives in fault before motion, and returns True if the
+            operator confirms them.
+        show: called twice a second with the status of the recorder and the seconds left.
+        announce: called as soon as the outcome is known.
+        note: called with the effect of a passive recording on the bus, before the bus is opened.
+        notes: returns new notes of the operator. It is called at each SYNC and must not wait.
     """
 
     stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda words, faults: False
-    # called twice a second, with the status of the recorder and the seconds left
     show: Callable[[Status, float | None], None] = lambda status, left_s: None
-    # called as soon as the outcome is known
     announce: Callable[[Outcome], None] = lambda outcome: None
-    # what a passive recording does to the bus, before it is opened
     note: Callable[[str], None] = lambda text: None
-    # the operator's new notes for the recording; called at each SYNC, never waits
     notes: Callable[[], Sequence[str]] = tuple
 
 
@@ -92,14 +94,16 @@ def record(
 
     Parameters
     ----------
-    robot : has a `[bus]` section; `place` names it in errors.
-    out : the recording to write; an existing file is never replaced.
-    options : of the session.
+    robot : the robot with its `[bus]`.
+    place : name of the description in errors.
+    out : the recording to write. An existing file is never replaced.
+    options : options of the session.
     operator : stops, watches and confirms.
 
     Returns
     -------
-    The outcome, with the error of a session that was running.
+    The outcome, which has the error of a session that was running, and the summary of the
+    recording.
 
     Raises
     ------
@@ -130,7 +134,8 @@ def record(
     )
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, file.sync_period_s, options, operator)
-    bus = None if file.mapped_by_traffic else resolve(robot, place)  # before anything opens
+    # The description is resolved before anything opens.
+    bus = None if file.mapped_by_traffic else resolve(robot, place)
     if bus is None or options.passive:
         if words := listening_words(file):
             operator.note(words)
@@ -142,7 +147,7 @@ def record(
         else _on_bus(bus, robot, out, place, options, payload)
     ) as (link, log):
         log.on_status = _left_shown(task, bus.file.sync_period_s, link.now_ns(), operator)
-        # After the recorder has started.
+        # The recorder's process has started by now, and does not inherit the scheduling.
         with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {scheduling_words(granted)}")
@@ -153,12 +158,12 @@ def record(
         try:
             return outcome, log.finish(link.now_ns())
         except RobotIdimError as error:
-            # the first error may be the cause of the second
+            # The error of the session may be the cause of this one.
             raise outcome.error or error from error
 
 
 def _left_shown(task: Task, period_s: float, started_ns: int, operator: UserInterface) -> OnStatus:
-    """Show each status with the seconds that are left of the task."""
+    """Return a function that shows each status with the seconds that are left of the task."""
     whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
     return lambda status, now_ns: operator.show(
         status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
@@ -172,7 +177,7 @@ def _task_of(
 
     Raises
     ------
-    RobotIdimError : options contradict each other.
+    RobotIdimError : options cannot be combined, or the reference cannot be followed.
     """
     COMMAND_LINE.require(
         options.track is None or options.duration_s is None,
@@ -217,7 +222,7 @@ def _task_of(
 def _simulated(
     bus: Bus, robot: Robot, out: Path, place: str, payload: Payload | None
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
-    """Return a link to simulated drives in simulated time, and its log."""
+    """Yield a link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus, payload)
     with closing(
         InlineLog(
@@ -240,9 +245,9 @@ def _simulated(
 def _on_bus(
     bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions, payload: Payload | None
 ) -> Iterator[tuple[Link, ProcessLog]]:
-    """Return a link to the drives, and the recorder in a separate process.
+    """Yield a link to the drives, and the recorder in a separate process.
 
-    The link comes first: without a bus no file is written.
+    The link is opened first, so that no file is written without a bus.
     """
     shared = bus.file.interface in SHARED
     with closing(
@@ -258,8 +263,9 @@ def _on_bus(
 def _before_motion(
     robot: Robot, master: Master, options: RecordOptions, confirm: Confirm
 ) -> list[str]:
-    """Check supervision, homing, joint positions and jitter before a real robot
-    moves; texts for `/events`.
+    """Check monitoring, homing, joint positions and jitter before a real robot moves.
+
+    It returns texts for `/events`.
     """
     if not options.unsupervised_drives:
         refuse_unsupervised(master)
@@ -320,15 +326,15 @@ def _listen(
 def stop_on_signals(stop: Stop) -> Iterator[None]:
     """Set `stop` on Ctrl-C, SIGTERM and a closed terminal inside the block.
 
-    Ctrl-C after any of them asks for a quick stop.
+    If Ctrl-C follows any of them, it requests a quick stop.
     """
 
     def asked(number: int, _: FrameType | None) -> None:
         stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
         stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
 
-    # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs,
-    # where shells ignore it.
+    # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled in background jobs too, although
+    # shells ignore it there.
     before = {
         number: signal.signal(number, asked)
         for number in STOPPING
@@ -341,14 +347,14 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
+# Frames of udp_multicast stay on this computer.
+WITHOUT_HARDWARE = ("virtual", "udp_multicast")
 
 
 def replay(
     path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False
 ) -> int:
-    """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with
-    their timing.
+    """Send the frames that the drives of a recording sent, and its SYNCs, with the same timing.
 
     Commands are never sent.
 
@@ -358,7 +364,7 @@ def replay(
     file : the bus to send on.
     stop : ends the replay.
     speed : factor on the recorded speed.
-    onto_bus : allows interfaces with hardware.
+    onto_bus : True to allow interfaces with hardware.
 
     Returns
     -------
@@ -366,8 +372,8 @@ def replay(
 
     Raises
     ------
-    RobotIdimError : `speed` or the interface is refused, the recording holds no frames of drives,
-        another node sends before or between these frames, or the bus accepts none.
+    RobotIdimError : `speed` or the interface is refused, the recording contains no frames of
+        drives, another node sends before or between these frames, or the bus does not accept them.
     """
     COMMAND_LINE.require(speed > 0, "speed", speed, "greater than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
@@ -412,11 +418,12 @@ def replay(
 
 
 def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
-    """Return the frames that the drives of the recording sent, and SYNC; and the bus as described.
+    """Return the frames that the drives of a recording sent, with SYNC, and the description of the
+    bus.
 
-    They are those of the channel with the most frames. Drives are those of the description in the
-    recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames, remote requests
-    and 29-bit frames are left out.
+    They are from the channel with the most frames. The drives are those of the description in the
+    recording, with their TPDOs, emergencies, SDO answers and heartbeats. Error frames, remote
+    requests and 29-bit frames are left out.
 
     Raises
     ------

@@ -1,9 +1,7 @@
-"""The session's loop: configure the drives and record, or enable, approach, track and stop.
-
-Drives are disabled in `finally`.
+"""The loop of a session: configure the drives and record, or enable, approach, track and stop.
 
 Nothing moves unless the task has a reference. However a session ends, all drives that it commanded
-are disabled, and the recording says which of them confirmed it.
+are disabled in `finally`, and the recording shows which of them confirmed it.
 """
 
 import itertools
@@ -27,13 +25,17 @@ from .logs import SessionLog
 from .motion import MotionState, all_enabled, disable, enable, joint_fault, node_fault, state_fault
 from .timing import Pace
 
-HOLD_S = 0.3  # the drives hold their position at the end of motion, before they are disabled
+# The drives hold their position for so long at the end of motion, before they are disabled.
+HOLD_S = 0.3
 
 
 @dataclass(kw_only=True)
 class Stop:
-    """A stop of a session, when `reason` is set (Ctrl-C, SIGTERM); with `at_once` by a quick
-    stop.
+    """A stop of a session.
+
+    Attributes:
+        reason: why the session is stopped (Ctrl-C, SIGTERM); empty while it runs.
+        at_once: True for a quick stop.
     """
 
     reason: str = ""
@@ -42,32 +44,45 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """The task of a session: to record for a time, or to follow a reference;
-    without one nothing moves.
+    """The task of a session: to record for a time, or to follow a reference.
 
-    `before_motion` checks the drives before anything is written to them; it returns texts for the
-    recording, or raises `RobotIdimError` if nothing may move.
+    Without a reference nothing moves.
+
+    Attributes:
+        duration_s: duration of a session without a reference, s; None until it is stopped.
+        reference: joint positions (N, n), one row per SYNC, rad or m.
+        place: name of the reference in errors.
+        before_motion: checks the drives before anything is written to them. It returns texts for
+            the recording, or raises `RobotIdimError` if nothing may move.
+        notes: returns new notes of the operator.
     """
 
-    duration_s: float | None = None  # of a session without a reference; None: until it is stopped
-    reference: Array | None = None  # joint positions (N, n), one row per SYNC, rad or m
-    place: str = "reference"  # name of the reference in errors
+    duration_s: float | None = None
+    reference: Array | None = None
+    place: str = "reference"
     before_motion: Callable[[bus.Master], Iterable[str]] = lambda _: ()
-    notes: Callable[[], Iterable[str]] = tuple  # new ones of the operator
+    notes: Callable[[], Iterable[str]] = tuple
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """The end of a session."""
+    """The end of a session.
+
+    Attributes:
+        reason: why the session ended.
+        fault: True if an error ended it.
+        cut_short: True if a reference was not followed to its end, or if the recorder had to end.
+        error: the error that ended the session; None without one.
+        unconfirmed: node ids of commanded drives that did not confirm that they are disabled.
+        reports: error reports of drives in fault, one line each.
+    """
 
     reason: str
-    fault: bool  # whether an error ended it
-    # a reference was not followed to its end, or the recorder had to end
+    fault: bool
     cut_short: bool = False
     error: RobotIdimError | None = None
-    # nodes of commanded drives that did not confirm to be disabled
     unconfirmed: tuple[int, ...] = ()
-    reports: tuple[str, ...] = ()  # of drives in fault, one line each
+    reports: tuple[str, ...] = ()
 
     @property
     def alarm(self) -> str:
@@ -83,9 +98,13 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, send SYNC and record; follow the task's reference if it has one.
+    """Configure the drives, send SYNC and record; follow the reference of the task if it has one.
 
     Without a reference nothing moves.
+
+    A `RobotIdimError` that ends the session is not raised. Any other exception is raised after the
+    drives were disabled. An exception while they are stopped, also of `log` or `announce`, is held
+    back until then. Unless it is an interrupt (KeyboardInterrupt, SystemExit), it is only recorded.
 
     Parameters
     ----------
@@ -94,16 +113,11 @@ def run_active(
     log : gets the frames of the link independently.
     task : the reference, or a duration.
     stop : ends the session when set from outside (Ctrl-C).
-    announce : called with the outcome as soon as it is known, also when an exception follows.
+    announce : called with the outcome as soon as it is known, also if an exception follows.
 
     Returns
     -------
-    The outcome. A `RobotIdimError` that ended the session is not raised: it is the outcome's
-    `error`.
-
-    Any other exception is raised after the drives were disabled; what is raised while they are
-    stopped, by `log` or `announce`, is held back until then, and unless it is an interrupt
-    (KeyboardInterrupt, SystemExit) it is only recorded.
+    The outcome, with the `RobotIdimError` that ended the session as its `error`.
     """
     session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
@@ -119,7 +133,8 @@ def run_active(
         raise
     finally:
         held = session.held
-        with held:  # drives are disabled also when the recorder has ended
+        # Drives must be disabled even if the recorder has ended.
+        with held:
             session.note("fault" if fault else "end", reason)
         unconfirmed = [drive.node for drive in master.bus.drives]
         with held:
@@ -133,8 +148,7 @@ def run_active(
         )
         with held:
             if unconfirmed:
-                # the second stop stays armed, and must not act while the requests that follow
-                # take time
+                # The watchdog stays armed, and must not act while the next requests take time.
                 master.while_awaiting = log.alive
                 announce(outcome)
             else:
@@ -145,7 +159,9 @@ def run_active(
                     "not disabled" if unconfirmed else "disabled",
                     outcome.alarm or "every drive confirmed",
                 )
-        with held:  # before the reports: while those are read there is no heartbeat
+        # The drives leave operational before the reports are read, because no heartbeat is sent
+        # meanwhile.
+        with held:
             session.leave(unconfirmed)
         with held:
             outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
@@ -161,7 +177,10 @@ def run_active(
 
 
 class _Session:
-    """One run. Phases are generators: they yield the orders of each SYNC, and `_run` sends them."""
+    """One run of a session.
+
+    Phases are generators that yield the commands of each SYNC, and `_run` sends them.
+    """
 
     def __init__(
         self, robot: Robot, master: bus.Master, log: SessionLog, task: Task, stop: Stop
@@ -175,13 +194,18 @@ class _Session:
         self._targets: list[Array] = []  # the last joint targets
         self._noted: set[str] = set()  # texts of warnings that were recorded
         self._in_fault: list[int] = []  # nodes found in fault before motion
-        # whether the drives were started; whether anything was commanded or written to them
+        # The drives were started; anything was commanded or written to them.
         self._started = self.addressed = False
         self.cut_short = task.reference is not None  # until it has been followed
-        self.held = HeldBack()  # what is raised while the drives are stopped
+        self.held = HeldBack()  # exceptions while the drives are stopped
 
     def prepare(self) -> None:
-        """Check, configure and start the drives. Raises `RobotIdimError` where a check fails."""
+        """Check, configure and start the drives.
+
+        Raises
+        ------
+        RobotIdimError : a check fails.
+        """
         track = self._task.reference is not None
         if self._task.reference is not None:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
@@ -190,12 +214,12 @@ class _Session:
         self.note("phase", "configure")
         if (refusal := bus.listen_for_others(self._master)) is not None:
             raise refusal
-        # Only reads: a drive that another program has enabled stays as it is.
+        # Drives are only read here, so one that another program has enabled stays as it is.
         self._in_fault = bus.refuse_enabled(self._master)
         self.note("mark", *(f"node {node}: in fault before the session" for node in self._in_fault))
         if track:
             self.note("mark", *self._task.before_motion(self._master))
-            # takes the frames received while the operator was asked
+            # Frames were received while the operator was asked, and must be taken before SYNC.
             self._master.wait(self._link.now_ns())
         needs = bus.read_needs(self._master, track=track)
         self.addressed = True
@@ -226,11 +250,12 @@ class _Session:
         reference = self._task.reference
         self._run("enable", self._enable())
         if not all_enabled(self._master):
-            self._run("disable", self._disable())  # the operator stopped the session
+            # The operator stopped the session while drives were being enabled.
+            self._run("disable", self._disable())
             return
         if not self._stop.reason:
-            # From the held targets, not from measured positions: the difference between them would
-            # be a step of the target.
+            # The approach starts at the held targets. If it started at the measured positions, the
+            # difference would be a step of the target.
             start = bus.joints_of(self._robot, self._bus, self._held)
             path = approach(start, reference[0], self._robot, self._period_s)
             check_limits(path, self._robot, self._period_s, "the approach to the reference's start")
@@ -244,7 +269,7 @@ class _Session:
     def _run(
         self, name: str, orders: Iterator[bus.Orders | None], planned_s: float | None = None
     ) -> None:
-        """Run a phase: for each SYNC its orders, which apply from then on, answers and guards."""
+        """Run a phase: at each SYNC, send its commands, take the answers and check the guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         if planned_s is not None:
             self.note("plan", f"{name} {planned_s:g} s")
@@ -260,23 +285,25 @@ class _Session:
             self._sync()
 
     def _sync(self) -> None:
-        """Send or await SYNC, take the answers, check the guards.
+        """Send SYNC or wait for it, take the answers, and check the guards.
 
-        Raises the `RobotIdimError` of a guard.
+        Raises
+        ------
+        RobotIdimError : a guard detects a fault.
         """
         motion = self._motion
         in_motion = motion is not None and bool(motion.enabled)
         self._pace.sync(in_motion=in_motion)
         now_ns = self._link.now_ns()
         if self._master.signs or self._master.bus_error:
-            # raises if the second stop sent those frames: it is not another master
+            # This raises an error if the watchdog sent those frames, as it is not another master.
             self._log.poll(now_ns)
         error = node_fault(self._master, now_ns) or self._other_master(in_motion)
         if error is None and motion is not None:
             if (q := self._positions()) is not None:
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
-                # A drive takes a period to reach a target: its position now belongs to the
+                # A drive takes one period to reach a target, so its position now belongs to the
                 # target before the last.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
                 error = state_fault(self._master, motion) or joint_fault(
@@ -295,8 +322,9 @@ class _Session:
             self._stop.reason, self.cut_short = status.ends, True
 
     def _other_master(self, in_motion: bool) -> RobotIdimError | None:
-        """Return the fault if another master commands the drives in motion; any other sign of one
-        is a warning, once each.
+        """Return the fault of another master that commands the drives in motion; else None.
+
+        Any other sign of a master is recorded as a warning, once.
         """
         signs, self._master.signs = self._master.signs, {}
         for sign, commands in signs.items():
@@ -311,7 +339,7 @@ class _Session:
         return None
 
     def _positions(self) -> Array | None:
-        """Return measured joint positions (n,), None until every drive has sent its position."""
+        """Return measured joint positions (n,); None until every drive has sent its position."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
         return (
             bus.joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
@@ -358,16 +386,21 @@ class _Session:
         yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))
 
     def _disable(self) -> Iterator[bus.Orders]:
-        """Disable all drives, without the guards of motion: drives leave operation enabled here."""
+        """Disable all drives.
+
+        The guards of motion are not active, because drives leave operation enabled here.
+        """
         self._motion = None
         yield from disable(
             self._master, self._held or [watch.counts or 0 for watch in self._master.nodes]
         )
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive, or read the states if none was commanded.
+        """Stop and disable every drive, or only read the states if none was commanded.
 
-        Return the node ids of those that did not confirm.
+        Returns
+        -------
+        The node ids of the drives that did not confirm.
         """
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
@@ -385,8 +418,9 @@ class _Session:
         return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
-        """Return error reports of drives in fault, one line each, without those that did not
-        confirm.
+        """Return error reports of drives in fault, one line each.
+
+        Drives that did not confirm are left out.
         """
         in_fault = [
             watch.drive

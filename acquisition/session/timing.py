@@ -1,6 +1,6 @@
 """SYNC: sending or waiting, lateness, jitter, and real-time scheduling.
 
-Scheduling and locked memory need permission of the system; the recording states which were granted.
+The system must permit real-time scheduling and locked memory. The recording shows what it granted.
 """
 
 import ctypes
@@ -17,10 +17,12 @@ from ..bus import Master
 from ..errors import BusFaultError, RefusedError
 from ..robot import BusFile
 
-# In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is stated.
+# In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is given.
 MAX_LATE_PERIODS, MAX_LATE_S = 3, 0.02
-MAX_ABSENT_PERIODS = 50  # at rest, without SYNC of the other producer
-MAX_ANSWER_SHARE = 0.7  # of a period, for the drives' answers to SYNC
+# At rest, the SYNC of another producer may be absent for so many periods.
+MAX_ABSENT_PERIODS = 50
+# Drives must answer SYNC within this share of a period.
+MAX_ANSWER_SHARE = 0.7
 
 
 def largest_delay_s(file: BusFile) -> float:
@@ -33,7 +35,11 @@ def largest_delay_s(file: BusFile) -> float:
 
 
 class Pace:
-    """The pace of SYNC: each is sent or awaited, then its answers are received."""
+    """The pace of SYNC: each SYNC is sent or awaited, then its answers are received.
+
+    Attributes:
+        next_ns: time at which the next SYNC is due, ns.
+    """
 
     def __init__(self, master: Master) -> None:
         file = master.bus.file
@@ -46,20 +52,19 @@ class Pace:
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
-        """Wait until SYNC is due, send it (or await that of the other producer), and take the
+        """Wait until SYNC is due, send it (or wait for that of the other producer), and take the
         answers.
 
         Raises
         ------
-        BusFaultError : SYNC is later than allowed in motion, or absent: drives would stop at their
-            last
+        BusFaultError : SYNC is absent, or later than motion allows. Drives would stop at their last
             target, and the next target would be a step.
         """
         if self._ours:
             self._master.wait(self.next_ns)
             self._refuse_late(in_motion)
             if self._link.now_ns() > self.next_ns + self._period_ns:
-                # after a delay the period restarts here: no burst of SYNCs
+                # After a delay the period starts anew, so that no burst of SYNCs is sent.
                 self.next_ns = self._link.now_ns()
             self._master.sync()
         else:
@@ -86,15 +91,16 @@ class Pace:
             )
 
 
-# of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
+# SCHED_FIFO has priorities from 1 to 99. This one is below those of the kernel's threads.
 PRIORITY = 20
 MCL_CURRENT, MCL_FUTURE = 1, 2  # of mlockall(2)
 MAX_JITTER_SYNCS, MIN_JITTER_SYNCS, MAX_JITTER_S = 200, 20, 1.0
-DEVIATIONS = 3  # standard deviations of jitter within the largest delay of SYNC
+# So many standard deviations of the jitter must be within the largest delay of SYNC.
+DEVIATIONS = 3
 
 
 def scheduling_words(granted: Mapping[str, float]) -> str:
-    """Say what `real_time_scheduling` was granted."""
+    """Describe what `real_time_scheduling` was granted."""
     fifo = (
         f"SCHED_FIFO, priority {PRIORITY}"
         if granted["sched_fifo"]
@@ -106,10 +112,9 @@ def scheduling_words(granted: Mapping[str, float]) -> str:
 
 @contextmanager
 def real_time_scheduling() -> Iterator[dict[str, float]]:
-    """Use real-time scheduling and locked memory without garbage collection inside the block, where
-    permitted.
+    """Use real-time scheduling and locked memory inside the block, if permitted.
 
-    It yields what was granted, as counters of `/health`.
+    Garbage is not collected inside the block. It yields what was granted, as counters of `/health`.
     """
     policy, parameter, collected = os.sched_getscheduler(0), os.sched_getparam(0), gc.isenabled()
     gc.collect()
@@ -118,7 +123,8 @@ def real_time_scheduling() -> Iterator[dict[str, float]]:
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     libc = ctypes.CDLL(None, use_errno=True)
     fifo = False
-    with suppress(OSError):  # not permitted; RESET_ON_FORK: new child processes do not inherit it
+    # The system may not permit it. Because of RESET_ON_FORK, child processes do not inherit it.
+    with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
         fifo = True
     locked = unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0
@@ -137,12 +143,19 @@ def real_time_scheduling() -> Iterator[dict[str, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Intervals between SYNCs."""
+    """Statistics of the intervals between SYNCs.
+
+    Attributes:
+        sd_s: standard deviation, s.
+        worst_s: largest difference from the period, s.
+        off: share of intervals that differ by more than half a period, 0 to 1.
+        largest_s: largest delay of SYNC that is accepted in motion, s.
+    """
 
     sd_s: float
-    worst_s: float  # largest deviation from the period
-    off: float  # share of intervals that deviate by more than half a period, 0 to 1
-    largest_s: float  # largest delay of SYNC that is accepted in motion
+    worst_s: float
+    off: float
+    largest_s: float
 
     @property
     def fit_for_motion(self) -> bool:
@@ -151,10 +164,10 @@ class Jitter:
 
 
 def sync_jitter(master: Master) -> Jitter:
-    """Measure the jitter of SYNC over 200 periods or a second, at least 20 periods.
+    """Measure the jitter of SYNC over 200 periods or a second, but at least 20 periods.
 
     Nothing is sent. If this master produces SYNC, the times at which it would be sent are measured,
-    otherwise the times at which it arrives.
+    otherwise the times at which SYNC arrives.
 
     Raises
     ------
@@ -187,11 +200,12 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """Return the measured jitter of SYNC.
+    """Check that the jitter of SYNC is small enough for motion, and return it.
 
     Raises
     ------
-    RefusedError : it is too large to move a robot.
+    RefusedError : the jitter is too large.
+    BusFaultError : SYNC of the other producer is absent for 50 periods.
     """
     found = sync_jitter(master)
     if not found.fit_for_motion:

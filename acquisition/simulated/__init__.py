@@ -1,7 +1,7 @@
 """Simulated CiA 402 drives, the plants that they move, and dry runs of a session.
 
-It owns what stands in for hardware, and no rule of a session. It may use `bus`, `recording`,
-`robot` and `protocol`.
+This subpackage owns everything that replaces hardware, but no rules of a session. It may use `bus`,
+`recording`, `robot` and `protocol`.
 """
 
 from .drives import LockStepLink, SimulatedDrives, serve

@@ -1,9 +1,8 @@
-"""CiA 402 drives that move a plant, in lock-step with a session in this process, or in
-real time for any master.
+"""CiA 402 drives that move a plant: in lock-step with a session, or in real time for any master.
 
-At SYNC a drive samples, answers, and applies the targets received since the last SYNC; then
-the plant is stepped by one period. Time is that of the frames passed in, so a run in
-lock-step repeats bit for bit.
+At SYNC a drive samples, answers, and applies the targets received since the last SYNC. Then the
+plant is stepped by one period. The time is that of the received frames, so a run in lock-step
+repeats bit for bit.
 """
 
 from collections import deque
@@ -20,22 +19,25 @@ from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
 
-# Times the following-error limits of the joints that a motor moves: the drive (6065h)
-# reacts after the session.
+# The window of a drive (6065h) is larger by this factor than the following error limits of its
+# joints, so that the session reacts first.
 WINDOW_FACTOR = 2
-# Values of 605Ah with which a drive stays in quick stop active at standstill; smaller ones lead
+# With these values of 605Ah a drive stays in quick stop active at standstill. Smaller values lead
 # to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
 
 class SimulatedDrives:
-    """All drives of a robot: `receive` takes a frame and returns the frames that the drives send.
+    """All drives of a robot, without I/O and without a clock.
 
-    No I/O, no clock.
+    `receive` takes a frame and returns the frames that the drives send. The drives move `mechanism`
+    (default: `driven_plant` of the description). Unless they are `supervised`, they detect neither
+    a lost SYNC, nor a lost master (no 1016h, 6007h is 0), nor a following error (6065h is off).
 
-    They move `mechanism` (default: `driven_plant` of the description). Unless
-    `supervised`, drives do not detect a lost SYNC, a lost master (no 1016h, 6007h is 0) or
-    a following error (6065h is off).
+    Attributes:
+        nodes: the drives, in the order of the motors.
+        bus: description of the bus and its drives.
+        plant: the mechanism that they move.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class SimulatedDrives:
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.set_homed(file.homed)
-        # An error of joints that a motor does not move is not its own, and may have no limit.
+        # Only the joints that a motor moves count for it. Others may have no limit.
         following = [
             sum(abs(r) * (joint.si("following_error") or np.inf) for r, joint in moved if r)
             for moved in (zip(row, robot.joints, strict=True) for row in robot.R)
@@ -76,8 +78,8 @@ class SimulatedDrives:
             joint.si("acceleration") or 10.0 for joint in robot.joints
         ]
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
-            # The ramps are the motor's acceleration limit, rad/s² or m/s², as in the
-            # commissioning of an arm.
+            # The decelerations are the acceleration limit of the motor in rad/s² or m/s², as they
+            # would be set when an arm is commissioned.
             keys = [
                 (axis_index(node.drive, index), 0)
                 for index in (cia.QUICK_STOP_DECELERATION, cia.PROFILE_DECELERATION)
@@ -90,22 +92,23 @@ class SimulatedDrives:
 
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._next_heartbeat = [0] * robot.n
-        # State of the loops: target, the way to it, speed at it (times the period), integral of the
-        # error, efforts, brakes.
+        # State of the loops: target, travel to it, speed at it (times the period), integral of the
+        # error, efforts, and brakes.
         self._target, self._travel, self._speed, self._integral = np.zeros((4, robot.n))
         self._actual, self._reported = np.zeros((2, robot.n))
         self._held = np.ones(robot.n, np.bool_)
 
     def set_heartbeats(self, every_ms: int) -> None:
-        """Set `every_ms`, from the next boot on, for drives whose dictionaries have a
-        heartbeat time (1017h) of 0.
+        """Set the heartbeat time of drives whose dictionary has 0 in 1017h.
+
+        It is used from the next boot on.
         """
         for node in self.nodes:
             if node.initial.get((cia.HEARTBEAT_TIME, 0)) == 0:
                 node.initial[cia.HEARTBEAT_TIME, 0] = every_ms
 
     def boot(self) -> Sent:
-        """Boot all drives; return their boot-up messages."""
+        """Boot all drives, and return their boot-up messages."""
         sent = [frame for node in self.nodes for frame in node.boot()]
         self._sample()
         return sent
@@ -120,7 +123,7 @@ class SimulatedDrives:
         return [frame for node in self.nodes for frame in node.receive(can_id, data)]
 
     def due_ns(self) -> int | None:
-        """Return when `advance` must be called next, None if nothing is due."""
+        """Return when `advance` must be called next; None if nothing is due."""
         times = [
             *(t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)),
             *(due for one in self._supervisions if (due := one.due_ns()) is not None),
@@ -128,8 +131,9 @@ class SimulatedDrives:
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """Return heartbeats that are due; drives that supervise SYNC or a master react if it is
-        lost.
+        """Return the heartbeats that are due.
+
+        Drives that monitor SYNC or a master react if it is lost.
         """
         sent: Sent = []
         for i, node in enumerate(self.nodes):
@@ -165,34 +169,37 @@ class SimulatedDrives:
         return sent
 
     def _answer(self, i: int, now_ns: int) -> Sent:
-        """Return TPDOs of drive `i`, which then applies the RPDOs received since the last SYNC."""
+        """Return the TPDOs of drive `i`, and apply its RPDOs since the last SYNC."""
         sent = self.nodes[i].answers()
         self.nodes[i].apply()
         return sent
 
     def _move(self) -> None:
-        """Step control loops and plant by one period."""
+        """Step the control loops and the plant by one period."""
         T = self._period_s
         stopping = np.array([node.state is cia.State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = (
             np.array([node.state is cia.State.OPERATION_ENABLED for node in self.nodes]) | stopping
         )
-        if self.plant.prescribed_effort() is not None:  # the control loops have no effect
+        # If the plant prescribes its efforts, the control loops have no effect.
+        if self.plant.prescribed_effort() is not None:
             self.plant.step(self._actual, ~enabled | stopping, T)
             return
         position, _ = self._measured()
-        # A drive that was enabled at this SYNC starts from its measured position.
+        # A drive that was enabled at this SYNC starts at its measured position, so that it does not
+        # jump.
         start = np.where(self._held, position, self._target)
         before = np.where(self._held, 0.0, self._travel)
-        # Quick stop: the target's speed falls by the ramp that 605Ah selects, else at
-        # the acceleration limit.
+        # In a quick stop the speed of the target falls by the deceleration that 605Ah selects, or
+        # else by the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
         ramps = np.where(stated, stated, self._quick_stop)
         slower = np.sign(before) * np.maximum(np.abs(before) - ramps * T**2, 0.0)
         target = np.where(stopping, start + slower, self._targets(position, enabled & ~stopping))
         travel = np.where(enabled, target - start, 0.0)
         first, last = travel, travel
-        if self._loops.smooth:  # of the parabola through a target and the two before it
+        # The end speeds are those of the parabola through a target and the two before it.
+        if self._loops.smooth:
             first, last = self._speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
         self._run_loops(start, enabled, lambda share: cubic(share, travel, first, last))
         self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
@@ -204,8 +211,14 @@ class SimulatedDrives:
     def _run_loops(
         self, start: Array, enabled: Bools, way_at: Callable[[float], tuple[Array, Array]]
     ) -> None:
-        """Move the plant by the control loops of a period: `way_at` gives the distance of the
-        reference from `start` (n,) and its speed at a share of the period.
+        """Move the plant by the control loops during one period.
+
+        Parameters
+        ----------
+        start : (n,) positions of the motors at the start, rad or m.
+        enabled : (n,) True for drives that are enabled.
+        way_at : returns the distance of the reference from `start` (n,), and its speed, at a share
+            of the period.
         """
         loops, T = self._loops, self._period_s
         decay, total = np.exp(-T / SUBSTEPS / loops.current_s), np.zeros(len(start))
@@ -225,14 +238,15 @@ class SimulatedDrives:
             self._actual = demand + (self._actual - demand) * decay
             self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
             total = total + self._actual
-        # A torque demand (6074h) is that of the last step: it leads the torque by the lag
-        # of the current loop. Any other effort is the mean torque since the last SYNC: it
+        # A torque demand value (6074h) is that of the last step, so it leads the torque by the
+        # delay of the current loop. Any other effort is the mean torque since the last SYNC, which
         # is half a period late.
         self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
 
     def _targets(self, position: Array, enabled: Bools) -> Array:
-        """Return motor targets (n,) from 607Ah; the present position if a drive is not enabled or
-        in another mode.
+        """Return motor targets (n,) from 607Ah.
+
+        If a drive is not enabled, or in another mode, its target is the present position.
         """
         mode = cia.Mode.CYCLIC_SYNCHRONOUS_POSITION
         follows = enabled & [n.values.get((cia.MODE_DISPLAY, 0), mode) == mode for n in self.nodes]
@@ -240,7 +254,7 @@ class SimulatedDrives:
         return np.where(follows, self._positions.si(counts), position)
 
     def _measured(self) -> tuple[Array, Array]:
-        """Return measured positions and speeds, (n,) of the motors."""
+        """Return measured positions and speeds, each (n,) of the motors."""
         q, dq = self.plant.state()
         return self._positions.si(self._counts(q)), self._robot.motor_velocity(dq)
 
@@ -266,24 +280,25 @@ class SimulatedDrives:
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
-    """Return the quick stop deceleration by `values` of its objects, rad/s² or m/s² of the motor; 0
-    if unknown.
+    """Return the quick stop deceleration by `values` of its objects, rad/s² or m/s² of the motor.
+
+    It is 0 if it is unknown.
     """
     objects = {index: values.get((axis_index(node.drive, index), 0)) for index in cia.RAMP_OBJECTS}
     codec = node.drive.position_codec
     return (cia.quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)
 
 
-# until a master sets another, so that a master that listens first receives heartbeats
+# Drives send heartbeats until a master sets another time, so that a master that listens first
+# receives some.
 IDLE_HEARTBEAT_MS = 200
 
 
 class LockStepLink:
-    """A `MasterLink` to simulated drives, which it boots; every run with the same drives
-    gives the same frames.
+    """A `MasterLink` to simulated drives, which it boots.
 
-    Time is simulated: it advances only when the link waits. `tap` is called with every frame that
-        the link sends or receives.
+    Time is simulated, and advances only when the link waits. Every run with the same drives gives
+    the same frames. `tap` is called with every frame that the link sends or receives.
     """
 
     def __init__(self, drives: SimulatedDrives, *, tap: Tap | None = None) -> None:
@@ -301,7 +316,7 @@ class LockStepLink:
         self._tap(Frame(self._time_ns, can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """Return the next frame, None if there is none until `until_ns`."""
+        """Return the next frame; None if there is none until `until_ns`."""
         while not self._from_drives:
             if self._to_drives:
                 self._from_drives += self.drives.receive(self._time_ns, *self._to_drives.popleft())
@@ -323,11 +338,17 @@ class LockStepLink:
 def serve(
     drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None
 ) -> None:
-    """Boot simulated drives and run them in real time on the bus of their
-    description, for any master.
+    """Run simulated drives in real time on the bus of their description, for any master.
 
-    `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once
-    the drives have booted. Raises `BusFaultError` where the bus cannot be opened or fails.
+    Parameters
+    ----------
+    drives : the drives, which are booted first.
+    stopped : called at least every 50 ms; returns True to end the simulation.
+    ready : called once the drives have booted.
+
+    Raises
+    ------
+    BusFaultError : the bus cannot be opened, or fails.
     """
     with closing(open_link(drives.bus.file, passive=False)) as link:
         drives.set_heartbeats(IDLE_HEARTBEAT_MS)
@@ -342,6 +363,6 @@ def serve(
                 min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000)
             )
             sent = [] if frame is None else drives.receive(link.now_ns(), frame.can_id, frame.data)
-            # heartbeats are sent on a busy bus too
+            # Heartbeats must be sent on a busy bus, too.
             if frame is None or (due is not None and due <= now_ns):
                 sent = sent + drives.advance(link.now_ns())

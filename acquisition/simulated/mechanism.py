@@ -1,10 +1,9 @@
-"""Plants and control loops of simulated drives: the described robot, a recorded table, or
-independent joints instead.
+"""Plants and control loops of simulated drives: the robot, a recorded table, or independent joints.
 
-This package does not know the dynamics of `[parameters]`. Another package provides them by an entry
-point of the group `robot_idim.plants`: a function of the robot and its payload that returns the
-plant and control loops that suit the inertias of the unloaded robot. It raises `BadInputError`
-where the description cannot be simulated.
+This package does not contain the dynamics of `[parameters]`. Another package provides them by an
+entry point of the group `robot_idim.plants`. It is a function of the robot and its payload, and
+returns the plant, and control loops that suit the inertias of the unloaded robot. It raises
+`BadInputError` if the description cannot be simulated.
 """
 
 from collections.abc import Callable
@@ -18,32 +17,36 @@ from ..errors import Location
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
-TYPICAL_LOAD = 0.3  # of the rated effort: gravity load of a horizontal joint of an industrial arm
+# Typical gravity load of a horizontal joint of an industrial arm, as a share of its rated effort.
+TYPICAL_LOAD = 0.3
 
 
 class Plant(Protocol):
-    """A mechanism of n joints, all quantities at the joint, SI (effort in the robot's units)."""
+    """A mechanism of n joints. All quantities are those of the joints.
+
+    Units are SI, with efforts in the units of the robot.
+    """
 
     def state(self) -> tuple[Array, Array]:
         """Return position and speed, each (n,)."""
 
     def prescribed_effort(self) -> Array | None:
-        """Return the effort (n,) that drives report instead of that of their loops; None if the
-        loops move the plant.
+        """Return the effort (n,) that drives report instead of that of their loops.
+
+        It is None if the loops move the plant.
         """
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
-        """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held`
-        (n,).
-        """
+        """Step by `duration_s` under constant `effort` (n,). Brakes hold the joints in `held`."""
 
 
 class JointwisePlant:
-    """Independent joints: inertia a = effort - load cos(q) - viscous v - coulomb
-    sign(v); each quantity (n,).
+    """Independent joints.
 
-    `load` is the effort that holds a horizontal joint; a prismatic joint (`slides`)
-    carries it at every position.
+        inertia a = effort - load cos(q) - viscous v - coulomb sign(v)
+
+    All quantities are (n,). `load` is the effort that holds a horizontal joint. A prismatic joint
+    (`slides`) carries it at every position.
     """
 
     def __init__(
@@ -70,12 +73,13 @@ class JointwisePlant:
         return self._q.copy(), self._dq.copy()
 
     def prescribed_effort(self) -> Array | None:
-        """Return None, because the loops move it."""
+        """Return None, because the loops move this plant."""
         return None
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
-        """Step with the load at the middle; Coulomb friction stops a joint, but does not reverse
-        its motion.
+        """Step with the load in the middle of the step.
+
+        Coulomb friction stops a joint, but does not reverse its motion.
         """
         speed = np.where(held, 0.0, self._dq)
         middle = self._q + 0.5 * duration_s * speed
@@ -89,9 +93,13 @@ class JointwisePlant:
 def typical_plant(
     robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD
 ) -> JointwisePlant:
-    """Return independent joints that suit the drives, in mid-range.
+    """Return independent joints that suit the drives, in the middle of their range.
 
-    A horizontal joint carries `load_share` of its rated effort.
+    Parameters
+    ----------
+    robot : the robot, with its limits.
+    rated_motor_effort : (n,) rated efforts of the motors.
+    load_share : load of a horizontal joint, as a share of its rated effort.
     """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
@@ -106,7 +114,7 @@ def typical_plant(
 
 
 def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
-    """Return inertias (n,) at the joints: half the rated effort gives the acceleration limit."""
+    """Return inertias (n,) at the joints. Half the rated effort gives the acceleration limit."""
     return np.asarray(
         0.5
         * np.abs(robot.joint_effort(rated_motor_effort[None])[0])
@@ -115,12 +123,12 @@ def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
 
 
 def middle_of_range(robot: Robot) -> Array:
-    """Return joint positions (n,) in the middle of the limits, 0 without limits; rad or m."""
+    """Return joint positions (n,) in the middle of the limits, rad or m; 0 without limits."""
     return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
 
 class TablePlant:
-    """A plant that replays joint samples, one row per period; the drives' loops have no effect."""
+    """A plant that replays joint samples, one row per period. Control loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         Location("").require(len(samples), text="the table to replay contains no samples")
@@ -131,13 +139,13 @@ class TablePlant:
         return min(round(self._elapsed_s * self._rate_hz), len(self._samples) - 1)
 
     def state(self) -> tuple[Array, Array]:
-        """Return the position of the row, and the speed between it and the next."""
+        """Return the position of the row, and the speed between it and the next row."""
         q = self._samples["position"]
         now, following = q[self._row], q[min(self._row + 1, len(q) - 1)]
         return now.copy(), (following - now) * self._rate_hz
 
     def prescribed_effort(self) -> Array | None:
-        """Return the effort of the row."""
+        """Return the effort (n,) of the row."""
         return np.array(self._samples["effort"][self._row])
 
     def step(self, effort: Array, held: Bools, duration_s: float) -> None:
@@ -145,34 +153,49 @@ class TablePlant:
         self._elapsed_s += duration_s
 
 
-SUBSTEPS = 4  # of the control loops in a SYNC period
+# The control loops of a drive run faster than SYNC, in so many steps per period.
+SUBSTEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopGains:
-    """Control law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki
-    integral(alpha e - (1 - phi) dq).
+    """Control law of the drives, each with its own motor.
 
-    e = r - q, in rad (or m) of the motor; u in the recorded effort; gains (n,).
+        u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq),     e = r - q
+
+    Positions are in rad (or m) of the motor, u is in the unit of the recorded effort.
+
+    Attributes:
+        position: (n,) gains Kp.
+        velocity: (n,) gains Kd.
+        integral: (n,) gains Ki.
+        position_share: (n,) factors alpha.
+        feedforward: phi, the share of the speed of the reference that is fed forward.
+        smooth: True if the reference between two targets is a cubic of continuous speed. With a
+            straight line, the demand has a ripple in each SYNC period.
+        current_s: time constant of the current loop, s.
     """
 
-    position: Array  # Kp
-    velocity: Array  # Kd
-    integral: Array  # Ki
-    position_share: Array  # alpha
-    feedforward: float = 1.0  # phi, the share of the reference's speed that is fed forward
-    # Between two targets the reference is a cubic of continuous speed; if False a straight line,
-    # with which the demand has a ripple in each SYNC period.
+    position: Array
+    velocity: Array
+    integral: Array
+    position_share: Array
+    feedforward: float = 1.0
     smooth: bool = True
-    current_s: float = 3e-4  # time constant of the current loop
+    current_s: float = 3e-4
 
 
 def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
-    """Return position loops of the given bandwidth w, with velocity loops four times as fast with
-    an integral.
+    """Return position loops of the given bandwidth w, with velocity loops four times as fast.
 
-    Speed is fed forward. `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w
-    Kd e + Kd de + w² Kd integral(e).
+    The velocity loops have an integral, and the speed is fed forward.
+
+        Kd ((w e + de) + w integral(w e + de)) = 2 w Kd e + Kd de + w² Kd integral(e)
+
+    Parameters
+    ----------
+    robot : the robot, with the bandwidth of its controller.
+    inertia : (n,) inertias at the joints.
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
@@ -188,9 +211,8 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
     """Return the description for a recording of simulated drives.
 
     The control law of `cascaded_loops` is added if the description has none, so that the fit
-    simulates the recorded drives. The control law is in a separate file because it does not
-    describe the robot's real drives: robot.toml, from which a description is exported, stays
-    unchanged.
+    simulates the recorded drives. It is in a separate file because it does not describe the real
+    drives. The file robot.toml, from which a description is exported, stays unchanged.
     """
     bandwidth_hz = robot.controller.bandwidth_hz
     if robot.bus is None or robot.controller != Controller(bandwidth_hz=bandwidth_hz):
@@ -205,10 +227,11 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Return distance and speed at a share of the period, by a cubic over `travel` with end speeds
-    `first` and `last`.
+    """Return distance and speed of a cubic over `travel` at a share of the period.
+
+    `first` and `last` are the speeds at its ends.
     """
-    # Speeds are times the period, so that all are in rad or m, (n,).
+    # Speeds are multiplied by the period, so that all quantities (n,) are in rad or m.
     rest, a, b = 1 - share, first - travel, last - travel
     return (
         share * (travel + rest * (rest * a - share * b)),
@@ -221,8 +244,12 @@ GROUP = "robot_idim.plants"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivenPlant:
-    """The plant of simulated drives, and their loops; `warning` is set where it is
-    not the described robot.
+    """The plant of simulated drives, and their control loops.
+
+    Attributes:
+        plant: the plant.
+        loops: the control loops.
+        warning: why the plant is not the described robot; None if it is.
     """
 
     plant: Plant
@@ -233,7 +260,11 @@ class DrivenPlant:
 def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
     """Return the robot of `[parameters]` with its payload.
 
-    Without parameters or dynamics these are independent joints, with a warning.
+    Without parameters or dynamics, independent joints are returned, with a warning.
+
+    Raises
+    ------
+    BadInputError : the description cannot be simulated.
     """
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
@@ -267,7 +298,8 @@ def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
 
 
 def rated_motor_effort(bus: Bus) -> Array:
-    """Return rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each
-    drive's effort object.
+    """Return the rated efforts (n,) of the motors, in the recorded units.
+
+    They are 1000 raw units of the effort object of each drive.
     """
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])

@@ -1,6 +1,4 @@
-"""One simulated CiA 402 drive without I/O: object dictionary, SDO server, NMT, state machine,
-PDOs, and its supervision.
-"""
+"""One simulated CiA 402 drive without I/O: objects, SDO server, NMT, states, PDOs, monitoring."""
 
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,17 +9,34 @@ from .. import protocol as cia
 from ..protocol import Key
 from ..robot import Drive, axis_of, parse_homed
 
-# command to the state in heartbeats: operational, stopped, pre-operational
+# State in heartbeats after an NMT command: operational, stopped, pre-operational.
 NMT_STATE = {1: 5, 2: 4, 128: 127}
 RESET = (129, 130)
-CONSUMERS = 2  # heartbeats that a drive without a dictionary supervises at most
+# A drive without a dictionary monitors at most so many heartbeats.
+CONSUMERS = 2
 
 Sent = list[tuple[int, bytes]]
 
 
 @dataclass(kw_only=True)
 class SimulatedNode:
-    """A simulated drive: `types` and raw integer `values` of its objects by (index, sub-index)."""
+    """A simulated drive.
+
+    Attributes:
+        drive: description of the drive.
+        types: types of its objects, by index and sub-index.
+        values: raw values of its objects.
+        read_only: objects that cannot be written.
+        initial: values after a boot.
+        nmt: NMT state, as in heartbeats.
+        state: state of CiA 402.
+        waiting: data of RPDOs since the last SYNC, by number of the PDO.
+        tpdos: PDOs from the drive.
+        rpdos: PDOs to the drive.
+        more_status: bits of the statusword other than those of the state.
+        boot_up_counts: True if the boot-up was the first heartbeat (CiA 301). The next one is sent
+            a heartbeat time later.
+    """
 
     drive: Drive
     types: dict[Key, str]
@@ -33,12 +48,11 @@ class SimulatedNode:
     waiting: dict[int, bytes] = field(default_factory=dict)
     tpdos: tuple[cia.Pdo, ...] = ()
     rpdos: tuple[cia.Pdo, ...] = ()
-    more_status: int = 0  # bits of the statusword other than those of the state
-    # the boot-up is the first heartbeat (CiA 301): the next comes a heartbeat time later
+    more_status: int = 0
     boot_up_counts: bool = False
 
     def boot(self) -> Sent:
-        """Reset all values to their initial ones; return the boot-up message."""
+        """Reset all values to their initial ones, and return the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
         self.nmt, self.state, self.waiting = 127, cia.State.SWITCH_ON_DISABLED, {}
@@ -56,13 +70,14 @@ class SimulatedNode:
         return [(cia.HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int) -> Sent:
-        """Enter fault reaction; return the emergency message (CiA 301, 7.2.7)."""
+        """Start the fault reaction, and return the emergency message (CiA 301, 7.2.7)."""
         self.state = cia.State.FAULT_REACTION_ACTIVE
         return self.error(code)
 
     def error(self, code: int) -> Sent:
-        """Return an emergency message without a change of state; the objects of the last error are
-        set too.
+        """Return an emergency message without a change of state.
+
+        The objects of the last error are set, too.
         """
         last = {(0x1001, 0): 1, (0x1003, 1): code, (0x603F, 0): code}
         self.values |= {key: value for key, value in last.items() if key in self.values}
@@ -76,9 +91,10 @@ class SimulatedNode:
                 return self.boot()
             if data[0] in NMT_STATE:
                 self.nmt = NMT_STATE[data[0]]
-                option = self.values.get((cia.ABORT_CONNECTION, 0), 1)  # 0: no reaction
+                # With option 0 the drive does not react.
+                option = self.values.get((cia.ABORT_CONNECTION, 0), 1)
                 if not self.operational and self.state is cia.State.OPERATION_ENABLED and option:
-                    # Commands can no longer be received: the power stage is switched off.
+                    # Commands can no longer be received, so the power stage is switched off.
                     self.state = cia.State.SWITCH_ON_DISABLED
         elif can_id == cia.REQUEST + node and self.nmt != 4:
             return [(cia.ANSWER + node, self._serve(data))]
@@ -86,8 +102,9 @@ class SimulatedNode:
             for pdo in self.rpdos:
                 if pdo.can_id == can_id and len(data) >= pdo.length:
                     self.waiting[pdo.number] = data
+                    # An event-driven RPDO is applied at once, without SYNC.
                     if self.values.get((cia.PARAMETERS["rpdo"][0] + pdo.number - 1, 2), 1) > 240:
-                        self.apply()  # an event-driven RPDO acts at once
+                        self.apply()
         return []
 
     def apply(self) -> None:
@@ -110,7 +127,7 @@ class SimulatedNode:
 
     @property
     def statusword(self) -> int:
-        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed."""
+        """Bits of the state, voltage enabled, remote, follows its target (if enabled), homed."""
         follows = 0x1000 if self.state is cia.State.OPERATION_ENABLED else 0
         return self.state.value[1] | 0x0210 | follows | self.more_status
 
@@ -133,11 +150,11 @@ class SimulatedNode:
         self.values[key] = value
         if key == (cia.CONTROLWORD, 0):
             command = cia.command_of(value)
-            # a fault reset acts on the rising edge only
+            # A fault reset acts only on the rising edge.
             if command is not None and not (command is cia.Command.FAULT_RESET and before & 0x80):
-                # illegal commands are ignored
+                # Illegal commands are ignored. The statusword must be right for SDO reads, too.
                 self.state = cia.TRANSITIONS.get((self.state, command), self.state)
-                self.values[self.drive.status.index, 0] = self.statusword  # read by SDO, too
+                self.values[self.drive.status.index, 0] = self.statusword
         elif key == (cia.MODE_OF_OPERATION, 0) and (cia.MODE_DISPLAY, 0) in self.values:
             self.values[cia.MODE_DISPLAY, 0] = value
 
@@ -163,7 +180,7 @@ class SimulatedNode:
         return cia.written_answer(*key)
 
     def _refuse_mapping(self, key: Key, value: int) -> str:
-        """Return why a write to a mapping parameter is not allowed; empty if it is."""
+        """Return why a write to a mapping parameter is not allowed; empty if it is allowed."""
         index, sub = key
         for communication, mapping in cia.PARAMETERS.values():
             if mapping <= index < mapping + cia.MAX_PDOS:
@@ -201,14 +218,15 @@ def _entries_of(index: int, count: int) -> dict[Key, str]:
 def _units_and_limits(drive: Drive) -> dict[Key, int]:
     """Return raw texts, modes, position units and limits of the description.
 
-    They are 0 if it gives none, or if the motor slides.
+    Values are 0 if the description does not give them, or if the motor slides.
     """
     per_turn = Fraction(drive.file.counts_per_turn or 0).limit_denominator(1000)
     position, velocity, motor_speed = cia.MOTION_LIMITS
     values = {
         (cia.SUPPORTED_MODES, 0): 1 << cia.Mode.CYCLIC_SYNCHRONOUS_POSITION - 1,
         **{
-            (index, 0): int.from_bytes(text, "little")  # of four bytes: in one frame
+            # At most four bytes fit into one SDO frame.
+            (index, 0): int.from_bytes(text, "little")
             for index, text in zip(cia.TEXTS, (b"sim", b"none", b"none"), strict=True)
         },
     }
@@ -225,8 +243,9 @@ def _units_and_limits(drive: Drive) -> dict[Key, int]:
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
-    """Make a drive with the objects of its dictionary; without one, the usual objects and those in
-    the description.
+    """Make a drive with the objects of its dictionary.
+
+    Without a dictionary it has the usual objects, and those in the description.
     """
     read_only: frozenset[Key] = frozenset()
     if drive.dictionary is not None:
@@ -235,7 +254,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         values = {key: entry.value or 0 for key, entry in entries.items()}
         read_only = frozenset(key for key, entry in entries.items() if not entry.writable)
         values |= {(cia.IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
-        # PDOs are disabled at the start: the master enables those it uses.
+        # PDOs are disabled at the start, because the master enables those that it uses.
         for (index, sub), value in list(values.items()):
             if sub == 1 and any(
                 first <= index < first + cia.MAX_PDOS for first, _ in cia.PARAMETERS.values()
@@ -264,7 +283,8 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 }
         stated = _units_and_limits(drive)
         types |= dict.fromkeys(stated.keys() - types, "U32")
-        # CiA 402: fault signal; off; quick stop ramp.
+        # By CiA 402 these values select a fault for a lost master, no following error window, and
+        # the quick stop deceleration.
         values = (
             dict.fromkeys(types, 0)
             | stated
@@ -289,19 +309,23 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     return node
 
 
-# without SYNC for this time an enabled drive enters fault, as real drives are set to do
+# An enabled drive goes into fault after so long without SYNC, as real drives are set to do.
 SYNC_LOST_NS = 100_000_000
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
-# 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault
-# signal) is handled below.
+# New state of an enabled drive that loses the master, by the option code 6007h. Option 1, fault, is
+# handled separately.
 _REACTIONS = {2: cia.State.SWITCH_ON_DISABLED, 3: cia.State.QUICK_STOP_ACTIVE}
 
 
 class Supervision:
-    """Monitoring in one drive, if `supervised`: heartbeat consumers, SYNC, following error over
-    `window` counts.
+    """The monitoring functions of one drive, if `supervised`.
+
+    It monitors heartbeats, SYNC, and the following error (over `window` counts).
+
+    Attributes:
+        sync_ns: time of the last SYNC, ns; None before the first.
     """
 
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
@@ -317,10 +341,10 @@ class Supervision:
             node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
         # By sub-index of 1016h: its entry at the last heartbeat, and the time of that heartbeat.
         self._heard: dict[int, tuple[int, int]] = {}
-        self.sync_ns: int | None = None  # time of the last SYNC
+        self.sync_ns: int | None = None
 
     def follow(self, counts: float) -> Sent:
-        """React to a following error in counts; return the emergency message if it is too large."""
+        """React to a following error in counts. Return the emergency message if it is too large."""
         window = self._node.values.get(self._window, NO_WINDOW)
         beyond = (
             self._node.state is cia.State.OPERATION_ENABLED
@@ -330,25 +354,25 @@ class Supervision:
         return self._fault(FOLLOWING_ERROR_CODE) if beyond else []
 
     def heartbeat(self, now_ns: int, producer: int) -> None:
-        """Note the time of a heartbeat: it starts the consumers of that
-        producer (CiA 301, 7.2.8.3.3).
+        """Note the time of a heartbeat.
+
+        It starts the consumers of its producer (CiA 301, 7.2.8.3.3).
         """
         for sub, entry in self._entries().items():
             if entry >> 16 == producer and entry & 0xFFFF:
                 self._heard[sub] = (entry, now_ns)
 
     def due_ns(self) -> int | None:
-        """Return when a heartbeat or SYNC is next due to count as lost; None if nothing is
-        monitored.
-        """
+        """Return when a heartbeat or SYNC counts as lost next; None if nothing is monitored."""
         due = (*self._deadlines().values(), self._sync_lost_ns)
         return min((time_ns for time_ns in due if time_ns is not None), default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """React to lost heartbeats and lost SYNC; return the emergency messages."""
+        """React to lost heartbeats and lost SYNC, and return the emergency messages."""
         lost = [sub for sub, deadline in self._deadlines().items() if now_ns >= deadline]
         for sub in lost:
-            del self._heard[sub]  # starts again at the next heartbeat
+            # Monitoring starts again at the next heartbeat.
+            del self._heard[sub]
         sent = self._react_to_lost_heartbeat() if lost else []
         if self._sync_lost_ns is not None and now_ns >= self._sync_lost_ns:
             sent += self._fault(SYNC_LOST_CODE)
@@ -368,8 +392,9 @@ class Supervision:
         }
 
     def _deadlines(self) -> dict[int, int]:
-        """Return the time at which each consumer times out; a rewritten entry starts with the next
-        heartbeat.
+        """Return the time at which each consumer times out, by sub-index.
+
+        A rewritten entry starts with the next heartbeat.
         """
         values = self._node.values
         self._heard = {
