@@ -1,7 +1,7 @@
 """The command line: one file per command, and the parts that both packages share.
 
-It owns options, what is printed and the exit status, and leaves the work to the
-other rooms, all of which it may use.
+This subpackage owns the options, the printed texts and the exit status. The work is done by the
+other subpackages, all of which it may use.
 """
 
 from .command_line import (

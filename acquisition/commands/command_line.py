@@ -1,8 +1,8 @@
 """The command line of both packages: parser, standard streams, errors in one line, exit statuses.
 
-Each command is a module with `add(parser)`, which declares its options, and `run(options)`: parse,
-one library call, print. A command's module is imported when the command is chosen, and `run`
-imports the libraries, so that `--help` is fast.
+Each command is a module with `add(parser)`, which declares its options, and `run(options)`, which
+calls the library and prints. The module of a command is imported when the command is chosen, and
+`run` imports the libraries, so that `--help` is fast.
 """
 
 import argparse
@@ -44,7 +44,7 @@ STATUSES = (
     "exit status: 0 success; 1 error, in one line on standard error; 2 wrong usage; "
     "3 result that must not be trusted (fit, fleet, validate); 130 Ctrl-C"
 )
-# letters that two words have in common, of all their letters, for one to be meant by the other
+# A word is suggested instead of another if they share this part of their letters.
 _ALIKE = 0.75
 DISTRIBUTION = "robot-idim"
 PACKAGES = (
@@ -62,11 +62,16 @@ PACKAGES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """A command line: its name, and one line about it.
+    """A command line.
 
-    `commands` gives the help of each command, in order. Its module in `package` has the same name,
-    with an underscore if the name is a Python keyword. `gone`: what to use instead of a command, an
-    option, or an option of one command ("command --option") of older versions.
+    Attributes:
+        name: name of the program.
+        description: one line about it.
+        package: package with a module for each command, of the same name. If the name is a Python
+            keyword, the module has an underscore after it.
+        commands: help of each command, in order.
+        gone: what replaces a command, an option, or an option of one command ("command --option")
+            of older versions.
     """
 
     name: str
@@ -105,19 +110,20 @@ class Program:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command in `arguments` (default: those of the process);
-        return one of `STATUSES`.
+        """Run the command in `arguments` (default: those of the process), and return one of
+        `STATUSES`.
         """
         given = sys.argv[1:] if arguments is None else arguments
-        # imports leave little garbage: to look for it takes 0.08 s of a fit
+        # Imports leave little garbage, and looking for it would take 0.08 s of a fit.
         gc.set_threshold(200_000)
-        # The matrices are small: threads of OpenBLAS, which reads this once, wait for each other.
+        # The matrices are so small that threads of OpenBLAS would only wait for each other.
+        # OpenBLAS reads this variable when it is imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
 
         names: dict[str, str] = {}
 
         def command() -> int | None:
-            # No option before the command takes a value.
+            # The first word without a dash is the command, since no option before it takes a value.
             chosen = next((argument for argument in given if not argument.startswith("-")), "")
             parser, flags = (
                 self.parser(chosen),
@@ -126,7 +132,8 @@ class Program:
             for name in (chosen, *flags, *(f"{chosen} {flag}" for flag in flags)):
                 if name in self.gone:
                     parser.error(f"{name} no longer exists: {self.gone[name]}")
-            if flags[:1] == ["--print-completion"]:  # of all commands; shtab is optional
+            # The completion needs the options of all commands. shtab is an optional dependency.
+            if flags[:1] == ["--print-completion"]:
                 parser = self.parser(*self.commands)
                 try:
                     import_module("shtab").add_argument_to(parser, "--print-completion")
@@ -142,7 +149,10 @@ class Program:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that refuses wrong usage in one line, with the nearest option, command or choice."""
+    """A parser that refuses wrong usage in one line.
+
+    The line suggests the nearest option, command or choice.
+    """
 
     def error(self, message: str) -> NoReturn:
         """Print the line, and exit with status 2."""
@@ -205,8 +215,8 @@ def add_options(
 ) -> None:
     """Declare options for the fields of `record` that have an `option`: all, or those in `names`.
 
-    An option that is not given is None, for which `from_options` uses the field's default, or has
-    the value in `defaults`.
+    If an option is not given, its value is that in `defaults`, or None, for which `from_options`
+    uses the default of the field.
     """
     for field in fields(record):
         if get_origin(field.type) is not Annotated or (names and field.name not in names):
@@ -235,9 +245,9 @@ def _default_text(default: Any) -> str:
 
 
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
-    """Make a dataclass from the options named like its fields, and `others`.
+    """Make a dataclass from the options that have the names of its fields, and from `others`.
 
-    None leaves the field's default.
+    An option that is None leaves the default of the field.
     """
     given = {field.name: getattr(options, field.name, None) for field in fields(kind)}
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
@@ -246,7 +256,7 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
 def add_path(
     parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any
 ) -> None:
-    """Declare a file or a folder; `names` of an option are separated by blanks."""
+    """Declare a file or a folder. The names of an option are separated by blanks."""
     vars(parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how))[
         "complete"
     ] = _FILES
@@ -279,8 +289,10 @@ def add_overwrite(parser: "argparse._ActionsContainer") -> None:
 
 
 class Progress(ExitStack):
-    """A progress line on standard error, only on a terminal; `say` replaces its text, by a
-    `rich.text.Text` too.
+    """A progress line on standard error, only on a terminal.
+
+    Attributes:
+        say: replaces the text of the line; accepts a `rich.text.Text`, too.
     """
 
     def __init__(self, text: str) -> None:
@@ -293,15 +305,16 @@ class Progress(ExitStack):
 
 
 class _Stream:
-    """A text stream that stores its first error and drops later text, so that a failed `print`
-    does not end a command.
+    """A text stream that stores its first error and drops later text.
+
+    A failed `print` therefore does not end a command.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
         self.error: OSError | None = None
         if isinstance(stream, io.TextIOWrapper):
-            # a terminal without Unicode shows ? for other characters
+            # A terminal without Unicode shows ? for other characters, instead of raising an error.
             stream.reconfigure(errors="replace")
 
     def write(self, text: str) -> int:
@@ -320,9 +333,9 @@ class _Stream:
                 call()
         except OSError as error:
             self.error = error
-            # Python flushes again at exit and would report the error, so the
-            # rest goes to /dev/null.
-            with suppress(OSError):  # the stream of a test has no descriptor
+            # Python flushes again at exit and would report the error, so the rest goes to
+            # /dev/null. The stream of a test has no descriptor.
+            with suppress(OSError):
                 null = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(null, self.stream.fileno())
                 os.close(null)
@@ -333,11 +346,20 @@ def run_command(
     command: Callable[[], int | None],
     options: Mapping[str, str] | None = None,
 ) -> int:
-    """Run `command` and return the exit status: that of `command` (None is 0), 1 after an error
-    of the packages, 130 on Ctrl-C. `options` gives the options of arguments that errors name.
+    """Run `command` and return the exit status.
 
-    A pipe of standard output that is closed early (`| head -1`) is no error. If standard output
+    A pipe of standard output that is closed early (`| head -1`) is not an error. If standard output
     cannot be written for another reason (a full disk), the command finishes, then the status is 1.
+
+    Parameters
+    ----------
+    program : name of the program, for errors.
+    command : returns the exit status; None stands for 0.
+    options : options of the arguments that errors may name.
+
+    Returns
+    -------
+    The status of the command, 1 after an error, or 130 on Ctrl-C.
     """
     with _standard_streams() as (out, err):
         try:
@@ -367,14 +389,15 @@ def _refuse(err: _Stream, program: str, text: str, status: int) -> int:
 
 @contextmanager
 def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
-    """Guard standard output and error inside the block; discard output to a closed stream
-    (`>&-`).
+    """Guard standard output and error inside the block.
+
+    Output to a closed stream (`>&-`) is discarded.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            # reserves this number, which the next opened file would get otherwise
+            # This reserves the number, which the next opened file would get otherwise.
             os.open(os.devnull, os.O_RDWR)
     before = sys.stdout, sys.stderr
     with suppress(OSError):

@@ -1,4 +1,4 @@
-"""`robot-acquire disable`: stop and disable every drive of a description."""
+"""`robot-acquire disable`: stop and disable all drives of a description."""
 
 import argparse
 import sys
@@ -12,7 +12,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Disable the drives. If some do not confirm, the first line names them and the status is 1."""
+    """Disable the drives.
+
+    If some do not confirm, the first line names them and the status is 1.
+    """
     from ..bus import not_disabled, stop_drives
     from ..robot import load_robot, resolve
 
@@ -20,7 +23,8 @@ def run(options: argparse.Namespace) -> int:
     nodes = [drive.node for drive in robot.bus.drive] if robot.bus is not None else []
     try:
         unconfirmed = stop_drives(resolve(robot, str(options.robot)))
-    except BaseException:  # also Ctrl-C: nobody knows their state
+    # After any exception, also Ctrl-C, the state of the drives is unknown.
+    except BaseException:
         print(not_disabled(nodes), file=sys.stderr)
         raise
     if unconfirmed:

@@ -1,6 +1,4 @@
-"""`robot-acquire emulate`: simulated drives that any CANopen master can use, or the frames that the
-drives of a recording sent.
-"""
+"""`robot-acquire emulate`: run simulated drives for any CANopen master, or replay recorded ones."""
 
 import argparse
 import sys
@@ -45,7 +43,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Emulate what the file describes, until it is over or a signal arrives."""
+    """Emulate the drives of the file, until the replay has ended or a signal arrives."""
     from ..files import is_recording
     from ..robot import BusFile
     from ..session import Stop, replay, stop_on_signals
@@ -118,7 +116,8 @@ def _simulate(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
         )
         mechanism = DrivenPlant(
             plant=TablePlant(samples, recording.sample_rate_hz),
-            loops=cascaded_loops(robot, np.ones(robot.n)),  # they have no effect
+            # The loops have no effect, because the table prescribes the efforts.
+            loops=cascaded_loops(robot, np.ones(robot.n)),
         )
     end_s = time.monotonic() + (float("inf") if options.duration is None else options.duration)
     text = (

@@ -1,6 +1,4 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log, an EtherCAT
-capture or a recording.
-"""
+"""`robot-acquire import`: convert tables, bags, logs, captures or recordings to a recording."""
 
 import argparse
 import math
@@ -76,7 +74,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import a bag, tables (with a map), a CAN log or a recording, and print a summary."""
+    """Import the files, and print a summary."""
     from ..files import refuse_clash
 
     options.output = options.output or options.tables[0].with_suffix(".mcap")
@@ -95,7 +93,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
-    """Import by the kind of the first file; None where the user has to complete a map first."""
+    """Import by the kind of the first file.
+
+    The result is None if the user must complete a map first.
+    """
     from ..files import is_recording
     from ..importing import (
         BagOptions,
@@ -190,8 +191,9 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
 
 
 def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
-    """Use the map of one table, after proposing it if there is none; return whether the user has to
-    go on.
+    """Use the map of a single table, and propose one if it does not exist.
+
+    The result is True if the user must complete it, or has no robot description.
     """
     from ..files import write_text
     from ..importing import TORQUE_SENSORS, is_log, lines_to_fill_in, propose_map

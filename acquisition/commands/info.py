@@ -1,4 +1,4 @@
-"""`robot-acquire info`: the contents of a recording, its joint samples as CSV too."""
+"""`robot-acquire info`: show what a recording contains, and export its joint samples as CSV."""
 
 import argparse
 import sys
@@ -15,7 +15,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the recording's overview; write the table and print its size."""
+    """Print the overview of the recording. Write the table and print its size."""
     warnings: list[str] = []
     size = ""
     with Progress("reading"):
@@ -35,8 +35,8 @@ def run(options: argparse.Namespace) -> None:
     else:
         from rich.console import Console
 
-        # Do not break lines in a pipe, which has no width; without trailing blanks, since one long
-        # line pads all others.
+        # Lines are not broken in a pipe, which has no width. Trailing blanks are removed, because
+        # one long line pads all others.
         console = Console(width=None if sys.stdout.isatty() else 500)
         with console.capture() as shown:
             console.print(as_tables(found))
@@ -44,4 +44,5 @@ def run(options: argparse.Namespace) -> None:
     for text in warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     if size:
-        print(size, file=sys.stderr if options.json else sys.stdout)  # JSON stays JSON
+        # Standard output must contain only the JSON.
+        print(size, file=sys.stderr if options.json else sys.stdout)

@@ -1,4 +1,4 @@
-"""`robot-acquire`: one file per command, listed here in the order of the help."""
+"""`robot-acquire`: its commands, in the order of the help. Each command has a file."""
 
 from .command_line import Program
 

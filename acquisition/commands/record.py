@@ -1,9 +1,8 @@
-"""`robot-acquire record`: a session with the drives of a description; nothing
-moves without `--track`.
+"""`robot-acquire record`: record the drives of a description. The robot moves only with `--track`.
 
-The SYNC loop writes the status line of the terminal, and asks for the notes that the operator types
-or pipes in, after the drives have answered. It never waits for either: a thread would hold Python's
-lock when SYNC is due.
+The SYNC loop writes the status line of the terminal, and reads the notes that the operator types or
+pipes in, after the drives have answered. It never waits for either. A thread would hold the lock of
+Python when SYNC is due.
 """
 
 import argparse
@@ -24,8 +23,10 @@ if TYPE_CHECKING:
     from ..session import Outcome, RecordedSummary, Status, Stop
 
 
-STDIN = 0  # not `sys.stdin`, which is None if it is closed, and reads ahead
-MAX_NOTE_BYTES = 1000  # of a line; the rest of a longer one is the next note
+# The descriptor is used, because `sys.stdin` is None if it is closed, and reads ahead.
+STDIN = 0
+# The rest of a longer line becomes the next note.
+MAX_NOTE_BYTES = 1000
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -47,9 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record, show the status, and print what was recorded; 1 when the
-    session ended with a fault.
-    """
+    """Record, show the status, and print a summary; return 1 if the session ended with a fault."""
     from ..robot import load_robot, parse_payload
     from ..session import Stop, UserInterface, record, stop_on_signals
 
@@ -131,7 +130,8 @@ def _tell(text: str) -> None:
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
     from ..session import INTERRUPTED
 
-    if outcome.fault:  # the reason is printed before what was recorded
+    # The reason is printed before the summary of the recording.
+    if outcome.fault:
         _tell(
             f"robot-acquire: {out}: the session ended with a fault: "
             f"{'; '.join((outcome.reason, *outcome.reports))}"
@@ -160,11 +160,12 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
 
 
 def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
-    """Show joint positions and drives in fault, and ask for confirmation; a stop means no."""
+    """Show joint positions and faults, and ask for confirmation. A stop means no."""
     line.show()
     for text in words:
         _tell(text)
-    with suppress(termios.error):  # what was typed before the question does not answer it
+    # Text that was typed before the question must not answer it.
+    with suppress(termios.error):
         termios.tcflush(STDIN, termios.TCIFLUSH)
     print(
         "Are these joint positions correct, and may the robot move? (yes or no) ",
@@ -180,7 +181,10 @@ def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
-    """Return rate, losses (true if there are any), range of each joint so far, and time left."""
+    """Return rate, losses, range of each joint so far, and time left.
+
+    The flag of a part is True if it is a loss that is not 0.
+    """
     losses = {"dropped": status.drops, **{k: status.losses[k] for k in ("missing", "late")}}
     return [
         (f"{status.rate_hz:.0f} frames/s", False),
@@ -194,7 +198,7 @@ def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tu
 
 
 class StatusLine:
-    """The status line of a session on the terminal, if there is one.
+    """The status line of a session, if there is a terminal.
 
     It does not wait for a stopped terminal (Ctrl-S).
     """
@@ -202,63 +206,70 @@ class StatusLine:
     def __init__(self) -> None:
         self._rows, self._terminal = 0, -1
         if sys.stderr.isatty():
-            # opened again, because other processes share standard error and expect it to block
+            # The terminal is opened again, because other processes share standard error and expect
+            # it to block.
             with suppress(OSError):
                 self._terminal = os.open(
                     os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
                 )
 
     def show(self, *parts: tuple[str, bool]) -> None:
-        """Replace the line by `parts`, bold and red where the flag is true; without them remove it.
+        """Replace the line by `parts`, bold and red if the flag is True. Without parts, remove it.
 
-        Never raises: a terminal that is gone must not end the session that it shows.
+        It never raises, because a terminal that is closed must not end the session.
         """
         if self._terminal >= 0 and (parts or self._rows):
             text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
             above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
-            with suppress(OSError, ValueError):  # it is full or gone; a name of surrogates
+            # The terminal may be full or closed, or a name may have surrogates.
+            with suppress(OSError, ValueError):
                 os.write(self._terminal, f"\r{above}\x1b[J{text}".encode())
                 width = os.get_terminal_size(self._terminal).columns or 80
                 self._rows = -(-sum(len(part) for part, _ in parts) // width)
 
 
 class Notes:
-    """Notes of the operator: lines of standard input, in a terminal from the key `m` to Enter.
+    """Notes of the operator: lines of standard input; in a terminal, from the key `m` to Enter.
 
     The terminal stays in its line mode, in which the system edits the line and Ctrl-C works. Until
     the key is pressed, `m` ends a line as Enter does, so that it can be read at once.
+
+    Attributes:
+        typing: True from the key to Enter.
     """
 
     def __init__(self, line: StatusLine) -> None:
         self._line, self._is_terminal = line, os.isatty(STDIN)
-        self._read = b""  # and not returned yet
-        self._modes: list[Any] = []  # of the terminal before
-        self.typing = False  # whether the key has been pressed, and Enter has not
+        self._read = b""  # bytes that are not returned yet
+        self._modes: list[Any] = []  # modes of the terminal before
+        self.typing = False
 
     def take(self) -> list[str]:
-        """Return the next note if there is one. Never waits or raises."""
+        """Return the next note if there is one. It never waits or raises."""
         line = b""
-        with suppress(OSError, termios.error):  # closed; a terminal that is gone
+        # Standard input or the terminal may be closed.
+        with suppress(OSError, termios.error):
             if not self._is_terminal or self._in_foreground():
                 line = self._next_line()
         text = one_line(line.decode(errors="replace"))
         return [text] if text else []
 
     def close(self) -> None:
-        """Set the terminal back to its modes, and drop what was typed since the last Enter."""
+        """Restore the modes of the terminal, and drop the text typed since the last Enter."""
         with suppress(OSError, termios.error):
             if self._modes and self._in_foreground():
                 termios.tcflush(STDIN, termios.TCIFLUSH)
                 termios.tcsetattr(STDIN, termios.TCSANOW, self._modes)
 
     def _in_foreground(self) -> bool:
-        """Test whether this process may use its terminal; in the background the system would halt
-        it.
+        """Test whether this process may use its terminal.
+
+        In the background the system would halt it.
         """
         return os.tcgetpgrp(STDIN) == os.getpgrp()
 
     def _await_key(self, awaited: bool) -> None:
-        """Let `m` end a line, or Enter alone as before."""
+        """Let `m` end a line, or only Enter again."""
         self._modes = self._modes or termios.tcgetattr(STDIN)
         modes = [*self._modes[:6], list(self._modes[6])]
         if awaited:
@@ -272,7 +283,8 @@ class Notes:
         ended = False
         if b"\n" not in self._read and select.select([STDIN], [], [], 0)[0]:
             read = os.read(STDIN, MAX_NOTE_BYTES - len(self._read))
-            ended = not read and not self._is_terminal  # a terminal goes on after Ctrl-D
+            # A terminal continues after Ctrl-D, but a pipe has ended.
+            ended = not read and not self._is_terminal
             self._read += read
         if self._is_terminal and not self.typing:
             _, key, self._read = self._read.partition(b"m")
@@ -285,6 +297,7 @@ class Notes:
             return b""
         self._read = rest
         if self._is_terminal:
-            self._line.show()  # the text stays, above the next line
+            # The text of the note stays above the next status line.
+            self._line.show()
             self._await_key(True)
         return text

@@ -1,6 +1,4 @@
-"""`robot-acquire scan`: the nodes of an unknown bus and what they state, by
-listening and SDO reads only.
-"""
+"""`robot-acquire scan`: find the nodes of an unknown bus by listening and SDO reads only."""
 
 import argparse
 from contextlib import closing
@@ -54,8 +52,8 @@ def run(options: argparse.Namespace) -> None:
         text="the file already exists",
         advice="Choose a new name; a description is never replaced",
     )
-    # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node
-    # id of many new drives.
+    # The master has node id 0 here, which no heartbeat has. The default, 127, is the node id of
+    # many new drives, whose heartbeats would be taken for those of another master.
     file = BusFile(
         interface=interface,
         channel=options.channel,

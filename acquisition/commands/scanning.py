@@ -1,6 +1,4 @@
-"""`robot-acquire scan`: what the nodes of a bus state, as rows of a table and as
-`[bus]` of robot.toml.
-"""
+"""`robot-acquire scan`: readings of the nodes of a bus, as a table and as `[bus]` of robot.toml."""
 
 import json
 from collections.abc import Collection, Iterator, Mapping
@@ -51,15 +49,16 @@ _HEXADECIMAL = (0x1000, 0x1016, 0x1018, 0x6041, 0x6065, 0x6502)
 
 
 def is_drive(readings: Readings) -> bool:
-    """Test whether 1000h names CiA 402, or there are a statusword and a position all the same."""
+    """Test whether a node is a drive.
+
+    It is one if 1000h names CiA 402, or if it has a statusword and a position.
+    """
     device, *both = (readings[index, 0].value for index in (0x1000, 0x6041, 0x6064))
     return (device or 0) & 0xFFFF == 402 or None not in both
 
 
 def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) -> list[Finding]:
-    """Return rows of the drives, of devices that are not drives, and of nodes that are only
-    heard.
-    """
+    """Return rows for drives, for other devices, and for nodes that were only heard."""
     rows = []
     for node, readings in nodes.items():
         others = {"not a drive": GROUPS["drive"], "name, versions": TEXTS}
@@ -99,7 +98,8 @@ def _words(readings: Readings, index: int, sub: int) -> str:
         return f"{words} -" if "not exist" in problem else f"{words} ({problem})"
     words += f" 0x{value:X}" if index in _HEXADECIMAL else f" {value}"
     if index == 0x6041:
-        with suppress(BusFaultError):  # bits of no state
+        # The bits may not be those of a state.
+        with suppress(BusFaultError):
             words += f" {state_of(value).words}"
     if index == 0x6502:
         words += f" modes {', '.join(str(bit + 1) for bit in range(32) if value >> bit & 1)}"
@@ -125,9 +125,10 @@ def _pdos(readings: Readings) -> Iterator[str]:
 def bus_lines(
     file: BusFile, nodes: Mapping[int, Readings], heard: Collection[int] = ()
 ) -> Iterator[str]:
-    """Return `[bus]` with a block for each drive; lines with `FILL_IN` need the engineer.
+    """Yield the lines of `[bus]`, with a block for each drive.
 
-    No node of `heard` is the master's.
+    The user must complete the lines with `FILL_IN`. The master gets a node id that is not in
+    `heard`.
     """
     yield "[bus]"
     yield f"interface = {json.dumps(file.interface)}"
@@ -167,14 +168,14 @@ def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
     for key in sorted(efforts, key=lambda key: "actual" in EFFORT_OBJECTS[key][2])[:1]:
         kind, rule, meaning = EFFORT_OBJECTS[key]
         certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: check that it is "
-        # the standard says no type of a maker's object
+        # The standard does not define the types of manufacturer-specific objects.
         yield from [f'objects = {{ "{key[0]:04X}" = "{kind}" }}'] if certain else []
         yield (
             f'{"actual" if "actual" in meaning else "reference"} = "{key[0]:04X}" # '
             f"{certain}{meaning}, {RULES[rule].unit}"
         )
         if rated := RULES[rule].rated:
-            # with all bits: none
+            # A value with all bits set means that the drive has none.
             raw = (readings[0x6075 if "current" in rated else 0x6076, 0].value or 0) % 0xFFFFFFFF
             yield (
                 f"{rated} = {raw / 1000:.10g}"
