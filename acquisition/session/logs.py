@@ -21,7 +21,7 @@ from .recorder import RecordedSummary, Recorder, Status
 MAX_START_S = 20.0  # of the process
 # A long session takes time to decode.
 MAX_FINISH_S = 600.0
-# After `MAX_SILENT_S` without a status, the disk counts as hung, and less time is left for decoding.
+# After `MAX_SILENT_S` without a status, the disk counts as hung, and less time is left to decode.
 MAX_HUNG_FINISH_S = 10.0
 MAX_SILENT_S = 5.0
 
