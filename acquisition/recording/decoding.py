@@ -1,7 +1,7 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards. So the timestamp of a PDO says little, and a
-sample has the time of its SYNC:
+A drive samples at SYNC and sends its PDO afterwards. So the timestamp of a PDO is of little use,
+and a sample has the time of its SYNC:
 
     frames       SYNC  PDO A  PDO B      SYNC  PDO B  PDO A      SYNC  PDO A      SYNC  PDO B ...
     grid         0                       1                       2                3
@@ -378,7 +378,7 @@ def _warnings(
     at_ends = len(clock.stamps) - int(answered[-1] - answered[0] + 1)
     found = {
         f"SYNC came every {clock.period_s * 1e3:.4g} ms, not every {nominal_s * 1e3:g} ms as "
-        "robot.toml says: correct sync_period_s": abs(clock.period_s / nominal_s - 1) > 0.01,
+        "in robot.toml: correct sync_period_s": abs(clock.period_s / nominal_s - 1) > 0.01,
         f"SYNC paused {pauses} times for more than 1.5 periods, the longest for "
         f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s: samples are "
         "missing there": pauses,

@@ -94,9 +94,7 @@ def test_other_frames_are_ignored():
 def test_wrong_period_is_refused(way):
     """By more than 5 %, and warned of by more than 1 %."""
     warned = decoded(session(period_ns=2_000_000 + way * 98_000))
-    assert warned.warnings[0].endswith(
-        "ms, not every 2 ms as robot.toml says: correct sync_period_s"
-    )
+    assert warned.warnings[0].endswith("ms, not every 2 ms as in robot.toml: correct sync_period_s")
     with pytest.raises(BadInputError) as caught:
         decoded(session(period_ns=2_000_000 + way * 102_000))
     assert str(caught.value).startswith(
