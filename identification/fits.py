@@ -362,12 +362,7 @@ class Fit:
         document = report.Document(
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
-            figures=results.main_figures(
-                self.file.moving_relative_error_percent,  # in files of earlier versions too
-                self.file.held_out_error_percent or None,
-                {},
-                results.half_width_percents(self.parameters),
-            ),
+            figures=results.main_figures(self.file),
             sections=(
                 report.Section(
                     title=f"The {len(best)} parameters with the narrowest intervals",

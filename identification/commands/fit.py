@@ -77,12 +77,12 @@ def run(options: argparse.Namespace) -> int:
         lambda view: [view.draw_fit(file, one) for one in fit.recordings],
         pictures,
     )
-    lines = [f"report with charts: --report {options.recordings[0].stem}.html"]
-    if options.report:
-        viewer = "a browser" if options.report.suffix == ".html" else "an editor"
-        lines = [f"open the report: {options.report} in {viewer}"]
-    if pictures:
-        lines.append(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
+    lines = [
+        f"Report: {options.report}"
+        if options.report
+        else f"Report with charts: add --report {options.recordings[0].stem}.html",
+        *([f"Plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}"] if pictures else []),
+    ]
     if options.robot is None:
         lines += edited_descriptions(fit, options.recordings)
     shared.print_results(*lines)

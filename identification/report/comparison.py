@@ -118,23 +118,27 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
     """Describe the comparison in words."""
-    by_name = "parameters matched by name: a file of an earlier version has no expressions"
-    lines = [] if _have_expressions(a, b) else [by_name]
+    lines = (
+        []
+        if _have_expressions(a, b)
+        else ["Parameters are matched by name: a file of an earlier version has no expressions."]
+    )
     off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
     if off:
         worst = max(off, key=lambda name: off[name])
-        shares = ", ".join(
-            f"{sum(x <= k for x in off.values())} within {k} sigma" for k in (1, 2, 3)
-        )
+        shares = ", ".join(f"{sum(x <= k for x in off.values())} within {k}" for k in (1, 2, 3))
         lines.append(
-            f"of {len(off)} parameters in both {shares}; largest difference {off[worst]:.2g} "
-            f"sigma, {worst}"
+            f"Of {len(off)} parameters in both, {shares} standard errors. Largest difference: "
+            f"{worst} by {off[worst]:.2g} standard errors."
         )
-    missing = (
-        (a.label, [row.name for row in rows if row.b is None]),
-        (b.label, [row.name for row in rows if row.a is None]),
-    )
-    return lines + [f"only in {label}: {', '.join(names)}" for label, names in missing if names]
+    return lines + [
+        f"Only in {label}: {', '.join(names)}."
+        for label, names in (
+            (a.label, [row.name for row in rows if row.b is None]),
+            (b.label, [row.name for row in rows if row.a is None]),
+        )
+        if names
+    ]
 
 
 def comparison_document(

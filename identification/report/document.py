@@ -33,15 +33,21 @@ class Number:
     @property
     def text(self) -> str:
         """The formatted number."""
-        if self.exact is None:
-            return "-"
-        return f"> {self.most:g}" if abs(self.exact) > self.most else format(self.exact, self.form)
+        return (
+            "-"
+            if self.exact is None
+            else f"> {self.most:g}"
+            if abs(self.exact) > self.most
+            else format(self.exact, self.form)
+        )
 
 
 Cell = str | Number
 Row = tuple[Cell, ...]
 # Each column has its heading and a flag: columns of numbers are aligned right.
 Columns = tuple[tuple[str, bool], ...]
+# a sentence, or a label with one or more lines of its own
+Line = str | tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +74,12 @@ class Section:
     """A section of a report: a title, a table, lines and warnings; each may be missing.
 
     `short` is the part that a terminal prints without `--all`; None for all of it. `hint` names
-    what `--all` would print; only a terminal shows it.
+    what `--all` would show; only a terminal prints it.
     """
 
     title: str = ""
     table: Table | None = None
-    lines: tuple[str, ...] = ()
+    lines: tuple[Line, ...] = ()
     warnings: tuple[str, ...] = ()
     hint: str = ""
     short: "Section | None" = None
@@ -85,15 +91,21 @@ class Section:
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self
         rows = tuple(self.table.rows[k] for k in sorted(order[:most]))
-        hint = f"{len(self.table.rows) - len(rows)} more rows: --all"
-        return replace(self, short=replace(self, table=replace(self.table, rows=rows), hint=hint))
+        return replace(
+            self,
+            short=replace(
+                self,
+                table=replace(self.table, rows=rows),
+                hint=f"all {len(self.table.rows)} rows",
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
     """A report: a headline and sections in reading order.
 
-    A fit also has its verdict as `badge`, and figures by their meaning.
+    A fit also has its verdict and the count of its tests as `badge`, and figures by their meaning.
     """
 
     title: str

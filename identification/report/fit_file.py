@@ -48,6 +48,10 @@ NEW_WORDS = {
     "consistent": "physically consistent",
     "ends": "outliers",
     "own parameters": "per-recording parameters",
+    "ratios": "gear ratios",
+    "lengths": "link lengths",
+    "zeros": "joint zeros",
+    "rotors": "rotor inertias",
     "cannot tell": "inconclusive",
     "not made": "skipped",
 }
@@ -134,7 +138,7 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     Attributes:
         test: its name, such as `convergence`.
         level: `skipped` if the test could not be made, `inconclusive` if it cannot decide.
-        value: its figure, None if there is none.
+        value: its figure, None if there is none; `expected`: the figure to compare it with.
         text: what was found, with the figure and its consequence.
         advice: what to do, an imperative; empty if there is nothing to do.
         finding: the same in a few words, for the first line of a report.
@@ -151,6 +155,7 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     value: float | None
     text: str
     advice: str = ""
+    expected: float | None = None
     finding: str = ""
     figures: tuple[tuple[str, float | None, float | None, float | None], ...] = ()
     unit: str = ""
@@ -327,6 +332,11 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     def line_of(self) -> dict[str, TrustResult]:
         """The tests by name, worst first."""
         return {line.test: line for line in self.trust or ()}
+
+    @property
+    def fitted_error_percent(self) -> float | None:
+        """The torque error of the fit in the rows of the cross-validation."""
+        return getattr(self.line_of.get("cross-validation"), "expected", None)
 
     @property
     def summary(self) -> str:

@@ -91,17 +91,25 @@ OF_LINKS = tuple(MEANINGS)[:10]
 
 
 def meaning_of(name: str, joints: Sequence[str]) -> str:
-    """Return a parameter in words: `first moment x of link 2`, `Coulomb friction of elbow`.
+    """Return a parameter in words: `first moment x of link 2 (regrouped)`.
 
     `joints` are the names of the joints, in order. A gain or an unknown name gives an empty text.
     """
-    found = re.match(r"([A-Za-z]+?)R?(\d*)R?(?:[:@](.*)|$)", name, re.DOTALL)
-    kind, number, where = found.groups() if found else ("", "", None)
+    found = re.match(r"([A-Za-z]+?)(R?)(\d*)(R?)(?:[:@](.*)|$)", name, re.DOTALL)
+    kind, before, number, after, where = found.groups() if found else ("", "", "", "", None)
     if kind not in MEANINGS:
         return ""
-    place = "payload" if not number else f"link {number}" if kind in OF_LINKS else ""
-    place = place or (f"motor {number}" if kind.endswith("m") else joints[int(number) - 1])
-    return f"{MEANINGS[kind]} of {place}" + (f" in {where}" if where else "")
+    place = (
+        "payload"
+        if not number
+        else f"link {number}"
+        if kind in OF_LINKS
+        else f"motor {number}"
+        if kind.endswith("m")
+        else joints[int(number) - 1]
+    )
+    ending = (f" in {where}" if where else "") + (" (regrouped)" if before or after else "")
+    return f"{MEANINGS[kind]} of {place}{ending}"
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from acquisition.errors import one_line
 
-from .document import Columns, Document, Section, Table, cell_text
+from .document import Columns, Document, Line, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
@@ -31,45 +31,59 @@ def print_whole(*items: Document | str, short: bool = False) -> None:
     """Print reports and lines without truncating cells or interpreting names as markup.
 
     A table too wide for the terminal is compacted, with headings over several lines; if it is still
-    too wide, the terminal breaks its lines. A pipe or file gets whole lines. In `short`, the parts
-    that a report hides without `--all` are left out, tables have no frames, and also a pipe or file
-    gets lines of reports broken between words; longer words stay whole.
+    too wide, the terminal breaks its lines. Lines are broken between words; longer words stay
+    whole. A pipe or file has the width that COLUMNS gives, by default `SHORT_WIDTH` in `short`, and
+    whole lines otherwise. In `short`, the parts that a report hides without `--all` are left out,
+    and tables have no frames.
     """
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
-        console.width = int(os.environ.get("COLUMNS") or SHORT_WIDTH) if short else _MAX_WIDTH
+        console.width = int(os.environ.get("COLUMNS") or (SHORT_WIDTH if short else _MAX_WIDTH))
     for item in items:
         if isinstance(item, str):  # perhaps a command, which has to stay one line
             console.print(Text(one_line(item)), no_wrap=True, overflow="ignore", crop=False)
         else:
             _print_line(console, item.title, "bold")
-            for section in item.short.sections if short else item.sections:
-                _print_section(console, section, short)
+            shown = item.short if short else item
+            for number, section in enumerate(x for x in shown.sections if x != Section()):
+                # The first section has the verdict, which belongs to the title.
+                console.print("\n" * (number > 0), end="")
+                _print_section(console, section, framed=not short)
 
 
-def _print_section(console: Console, section: Section, short: bool) -> None:
+def _print_section(console: Console, section: Section, *, framed: bool) -> None:
+    hint = f"(show {section.hint} with --all)" if section.hint else ""
+    lines = [*map(_labelled, section.lines), *([("", hint)] if not section.title else [])]
+    labels = max((len(label) for label, *_ in lines), default=0)
+    margin = " " * (2 * bool(section.title) + labels + 3)
     if section.title:
-        _print_line(console, section.title, "italic")
+        _print_line(console, f"{section.title} {hint}", "italic")
     if section.table is not None:
-        drawn = _rich_table(section.table)
-        if short:
-            _remove_frame(drawn)
-        _print_table(console, drawn)
-    for line in section.lines:
-        _print_line(console, line)
+        _print_table(console, _rich_table(section.table, framed=framed))
+    for label, *texts in lines:
+        for number, text in enumerate(filter(None, texts)):
+            name = f"{margin[labels + 3 :]}{label * (number == 0)}"
+            own = (name.ljust(len(margin)), margin) if label else ()
+            _print_line(console, text, "", *own)
     for warning in section.warnings:
         _print_line(console, f"Warning: {warning}", "yellow")
-    if section.hint:
-        _print_line(console, section.hint, "dim")
 
 
-def _print_line(console: Console, text: str, style: str = "") -> None:
+def _labelled(line: Line) -> tuple[str, ...]:
+    """Return the label of a line, empty for none, and its texts."""
+    return ("", line) if isinstance(line, str) else line
+
+
+def _print_line(
+    console: Console, text: str, style: str = "", start: str = "", margin: str = "  "
+) -> None:
     # Keep a number and its unit together. NUL stands in for the blank, because a line never
     # contains it.
     for line in textwrap.wrap(
         one_line(text).replace(" %", "\0%"),
         console.width,
-        subsequent_indent="  ",
+        initial_indent=start,
+        subsequent_indent=margin,
         break_long_words=False,
         break_on_hyphens=False,
     ) or [""]:
@@ -78,8 +92,10 @@ def _print_line(console: Console, text: str, style: str = "") -> None:
         )
 
 
-def _rich_table(table: Table) -> RichTable:
+def _rich_table(table: Table, *, framed: bool) -> RichTable:
     drawn = RichTable()
+    if not framed:
+        _remove_frame(drawn)
     for heading, numeric in table.columns:
         drawn.add_column(Text(heading), justify="right" if numeric else "left")
     above_total = len(table.rows) - 1 if table.total else 0
@@ -128,7 +144,15 @@ def to_markdown(document: Document) -> str:
         parts += [
             f"## {_plain(section.title)}" if section.title else "",
             _markdown_table(section.table) if section.table else "",
-            "\n".join([*warnings, *(f"- {_plain(text)}" for text in section.lines)]),
+            "\n".join(
+                [
+                    *warnings,
+                    *(
+                        f"- {f'**{_plain(label)}**: ' * bool(label)}{_plain(' '.join(texts))}"
+                        for label, *texts in map(_labelled, section.lines)
+                    ),
+                ]
+            ),
         ]
     return "\n\n".join(filter(None, parts)) + "\n"
 
@@ -160,17 +184,13 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
 
     `figures` follow the first sections that have no table.
     """
-    # The tiles show the figures, so the heading leaves them out.
-    title = document.title.split("; ")[0] if document.badge else document.title
-    sections = document.sections
-    first = next((k for k, section in enumerate(sections) if section.table), len(sections))
+    parts = ["\n".join(_html_section(section, heading + 1)) for section in document.sections]
+    first = next((k for k, section in enumerate(document.sections) if section.table), len(parts))
     return "\n".join(
         [
-            _element(f"h{heading}", title),
+            _element(f"h{heading}", document.title),
             *_tiles(document),
-            *(part for section in sections[:first] for part in _html_section(section, heading + 1)),
-            *([figures] if figures else []),
-            *(part for section in sections[first:] for part in _html_section(section, heading + 1)),
+            *filter(None, [*parts[:first], figures, *parts[first:]]),
         ]
     )
 
@@ -182,20 +202,18 @@ def _tiles(document: Document) -> list[str]:
     if not document.badge:
         return []
     badge = (
-        f"color:#fff;background:{BADGES[document.badge]};padding:.2em "
+        f"color:#fff;background:{BADGES[document.badge.partition(' · ')[0]]};padding:.2em "
         ".8em;border-radius:1em;font-weight:700"
     )
-    tiles = [
+    return [
+        '<div style="display:flex;flex-wrap:wrap;gap:.6em 2em;align-items:center">'
         f'<span style="{badge}">{escape(document.badge)}</span>',
         *(
             "<span><b "
             f'style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
             for what, text in document.figures
         ),
-    ]
-    return [
-        '<div style="display:flex;flex-wrap:wrap;gap:.6em '
-        f'2em;align-items:center">{"".join(tiles)}</div>'
+        "</div>",
     ]
 
 
@@ -203,15 +221,23 @@ def _html_section(section: Section, heading: int) -> list[str]:
     return [
         *([_element(f"h{heading}", section.title)] if section.title else []),
         *([_html_table(section.table)] if section.table else []),
-        *(_element("p", text) for text in section.lines),
+        *(_html_line(*_labelled(line)) for line in section.lines),
         *(_element("p", f"Warning: {text}", "warning") for text in section.warnings),
     ]
 
 
+def _html_line(label: str, *texts: str) -> str:
+    shown = [f'<span style="display:block">{escape(one_line(text))}</span>' for text in texts]
+    fact = f'<p class="fact"><b>{escape(label)}</b>{"".join(shown)}</p>'
+    return fact if label else _element("p", *texts)
+
+
 def _html_table(table: Table) -> str:
-    head = _html_row("th", table.columns, [heading for heading, _ in table.columns])
-    rows = (_html_row("td", table.columns, [*map(cell_text, row)]) for row in table.rows)
-    return f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
+    rows = [
+        _html_row("th", table.columns, [heading for heading, _ in table.columns]),
+        *(_html_row("td", table.columns, [*map(cell_text, row)]) for row in table.rows),
+    ]
+    return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
 
 
 def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:

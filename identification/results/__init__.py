@@ -29,7 +29,6 @@ from .parameters import (
     with_stored_gains,
 )
 from .recording_report import (
-    half_width_percents,
     main_figures,
     recording_document,
     validation_document,

@@ -3,7 +3,7 @@ recordings. Sections that the report of a fit has too, and those of its drive ga
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +30,8 @@ from ..report import (
 from .evidence import HORIZONS_S, FitOnRecording, first_ahead
 from .fit_files import with_settings
 
+GAIN = "{0.motor} {0.value:.4g} ± {0.half_width:.2g} {0.unit}"
+
 
 def recording_document(
     signals: Signals, settings: Settings | None, refusal: str | None
@@ -38,7 +40,7 @@ def recording_document(
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     told = OnRecording(**with_settings(signals, settings))
     lines = (
-        *([f"cannot be fitted: {refusal}"] if refusal else []),
+        *([f"This recording cannot be fitted: {refusal}"] if refusal else []),
         f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, "
         f"{reference} reference",
         *(settings_lines(told, used="a fit would use") if settings else []),
@@ -79,28 +81,24 @@ def validation_document(
     """Make the report on the torque errors of a fit on recordings that it was not fitted to."""
     each = [(one.signals.recording, one) for one in recordings]
     return Document(
-        title=f"{fit} on {', '.join(x for x, _ in each)}: {headline(errors)} torque error",
+        title=f"{fit} on {', '.join(x for x, _ in each)}: torque error "
+        f"{percent(errors[-1].relative_error_percent)} in motion",
         sections=(
             Section(
                 lines=(
-                    error_line(errors, recordings[0].problem.settings.cutoff_hz),
-                    *(f"{x}: {headline(one.errors)}" for x, one in each if len(each) > 1),
-                    *(f"Physically consistent: {headline(x)}" for x in [consistent] if x),
+                    ("Torque error", error_text(errors)),
+                    *((x, error_text(one.errors)) for x, one in each if len(each) > 1),
+                    *(("Physically consistent", error_text(x)) for x in [consistent] if x),
+                    rows_line(errors, recordings[0].problem.settings.cutoff_hz),
                 ),
                 warnings=warnings,
             ),
             *_ahead_section(recordings),
             replace(errors_section(errors), short=None),
             *(
-                [
-                    replace(
-                        errors_section(consistent),
-                        title="Torque error of the physically consistent set, %",
-                        short=None,
-                    )
-                ]
-                if consistent
-                else []
+                replace(errors_section(x), title="Physically consistent: torque error", short=None)
+                for x in [consistent]
+                if x
             ),
             Section(
                 title="Settings",
@@ -128,8 +126,7 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
     ]
     return [
         Section(
-            title="Position error of the direct model, open loop from measured states, % of the "
-            "way "
+            title="Position error of the direct model after a measured state, % of the distance "
             "moved",
             table=Table(
                 columns=columns("joint", numbers=tuple(f"after {x:g} s" for x in HORIZONS_S)),
@@ -155,51 +152,60 @@ def recordings_section(fit: FitFile) -> Section:
         for one in each
     )
     lines = [
-        f"{one.recording} cannot be predicted by the others: "
+        f"{one.recording} cannot be predicted from the others: "
         + (
-            f"{', '.join(one.undetermined)} not well determined"
+            f"they do not determine {', '.join(one.undetermined)}."
             if one.undetermined
-            else "it has no torque"
+            else "it has no torque."
         )
         for one in each
         if one.undetermined or one.relative_error_percent is None
     ]
     if own := fit.own_parameters:
         lines.append(
-            f"per-recording parameters {', '.join(own.names)} against shared ones: F test p = "
+            f"Per-recording parameters {', '.join(own.names)} against shared ones: F test p = "
             f"{Number(own.p_value, '.2g').text} "
-            f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
+            f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})."
         )
     row_hz = (fit.sample_rate_hz or 0.0) / (fit.decimation or 1)
-    cutoff = "no low-pass" if fit.cutoff_hz is None else f"low-pass {fit.cutoff_hz:g} Hz"
     return Section(
-        title="Recordings: torque error, %",
+        title="Torque error by recording",
         table=Table(
-            columns=columns("recording", numbers=("Hz", "from, s", "to, s", "fitted", "held out")),
+            columns=columns(
+                "recording", numbers=("Hz", "from, s", "to, s", "fitted, %", "held out, %")
+            ),
             rows=rows,
         ),
         lines=(
             *lines,
-            "Held out: predicted by a fit of the other recordings, over the same rows",
-            f"Common to all: {cutoff}, {row_hz:g} rows per second",
+            "Held out: predicted by a fit of the other recordings, over the same rows.",
+            f"Common to all: {row_hz:g} rows per second, "
+            + (f"low-pass {fit.cutoff_hz:g} Hz." if fit.cutoff_hz else "no low-pass."),
             *(line for one in each for line in recording_lines(one)),
         ),
         short=Section(lines=tuple(lines)),
     )
 
 
-def headline(errors: tuple[TorqueResidual, ...]) -> str:
-    """Return the main figure of a report."""
-    return f"{Number(errors[-1].relative_error_percent, '.3g', most=1000).text} %"
+def percent(value: float | None) -> str:
+    """Return a percentage of a report as text."""
+    return f"{Number(value, '.3g', most=1000).text} %"
 
 
-def error_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> str:
-    """Return the relative torque error of all joints together, with its rows and low-pass."""
+def error_text(errors: tuple[TorqueResidual, ...]) -> str:
+    """Return the torque error of all joints together, in motion and at standstill."""
+    rest = errors[-1].standing_relative_error_percent
+    return f"{percent(errors[-1].relative_error_percent)} in motion" + (
+        "" if rest is None else f", {percent(rest)} at standstill (static friction is not modelled)"
+    )
+
+
+def rows_line(errors: tuple[TorqueResidual, ...], cutoff_hz: float | None) -> str:
+    """Return the rows of the torque errors, and their low-pass."""
     e = errors[-1]
     return (
-        f"Torque error: {headline(errors)} in motion ({e.moving_rows} of "
-        f"{e.moving_rows + e.standing_rows} rows, "
-        + (f"low-pass {cutoff_hz:.3g} Hz)" if cutoff_hz else "no low-pass)")
+        f"{e.moving_rows} of {e.moving_rows + e.standing_rows} rows are in motion. Torque errors "
+        f"have {f'a low-pass of {cutoff_hz:.3g} Hz' if cutoff_hz else 'no low-pass'}."
     )
 
 
@@ -208,26 +214,20 @@ def half_width_percents(parameters: Iterable[Parameter]) -> dict[str, float]:
     return {p.name: p.half_percent for p in parameters if p.essential}
 
 
-def main_figures(
-    error: float | None,
-    held_out: float | None,
-    more: Mapping[str, float | None],
-    percents: Mapping[str, float],
-) -> tuple[tuple[str, str], ...]:
-    """Return the figures to read first: torque errors, and half-widths of essential parameters
-    (`percents`).
-    """
-    errors = {"torque error": error, "held out": held_out, **more}
-    shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
-    if percents:
-        worst = max(percents, key=percents.__getitem__)
-        shown |= {
-            f"median 95 % half-width of {len(percents)} well-determined parameters": (
-                f"{np.median([*percents.values()]):.2g} %"
-            ),
-            f"largest 95 % half-width ({worst})": f"{percents[worst]:.2g} %",
-        }
-    return tuple(shown.items())
+def main_figures(fit: FitFile) -> tuple[tuple[str, str], ...]:
+    """Return the figures to read first: torque errors, and half-widths of essential parameters."""
+    percents, fitted = half_width_percents(fit.parameters), fit.fitted_error_percent
+    worst = max(percents, key=percents.__getitem__, default="")
+    same = "" if fitted is None else f" (fitted {fitted:.3g} %)"
+    median = float(np.median([*percents.values()])) if percents else None
+    figures = (
+        ("torque error in motion", fit.moving_relative_error_percent, ".3g"),
+        (f"cross-validated{same}", known(fit.held_out_error_percent), ".3g"),
+        ("cross-validated with a priori links", known(fit.prior_held_out_error_percent), ".3g"),
+        (f"median 95 % half-width of {len(percents)} well-determined parameters", median, ".2g"),
+        (f"largest 95 % half-width ({worst})", percents.get(worst), ".2g"),
+    )
+    return tuple((what, f"{value:{form}} %") for what, value, form in figures if value is not None)
 
 
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
@@ -245,13 +245,13 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
         for e in errors
     )
     return Section(
-        title="Torque error by joint, %",
+        title="Torque error by joint",
         table=Table(
             columns=columns(
                 "joint",
                 "unit",
                 numbers=(
-                    "torque error",
+                    "torque error in motion, %",
                     "rows in motion",
                     "rows at standstill",
                     "residual autocorrelation (lag 1)",
@@ -277,7 +277,7 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
         f"{of.cutoff_forward_backward_3db_hz:.1f} Hz)"
     )
     notes = (" with MATLAB's edge rule" if of.edges == "matlab" else "") + (
-        f"; samples up to {of.off_grid_periods:.2g} periods off a uniform grid: interpolated"
+        f"; interpolated, as samples are up to {of.off_grid_periods:.2g} periods off a uniform grid"
         if of.off_grid_periods > ON_GRID
         else ""
     )
@@ -285,7 +285,7 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
     return (
         f"{of.provenance.recording if of.provenance else ''}: {fs:g} Hz, {cutoff}, decimated by "
         f"{of.decimation}{notes}",
-        f"{used}: {of.span}, {start / fs:.3f} s to {stop / fs:.3f} s{whole}",
+        f"{used}: {of.span}, from {start / fs:.3f} s to {stop / fs:.3f} s{whole}",
         *of.inputs,
     )
 
@@ -293,7 +293,7 @@ def settings_lines(of: OnRecording, *, used: str) -> tuple[str, ...]:
 def recording_lines(of: OnRecording | RecordingOfFit) -> tuple[str, ...]:
     """Return the final counters of the recorder, the payload if any, and the digest of the file."""
     source = of if isinstance(of, RecordingOfFit) else of.provenance
-    digest = "" if source is None else f"{source.recording} has sha256 {source.sha256}"
+    digest = "" if source is None else f"SHA-256 of {source.recording}: {source.sha256}"
     return (*of.remarks, digest)
 
 
@@ -309,7 +309,9 @@ def gain_sections(fit: FitFile) -> list[Section]:
     """
     if not fit.gains:
         return []
-    heads = columns("motor", numbers=("given", "identified", "95 % half-width", "relative %"))
+    heads = columns(
+        "motor", numbers=("in robot.toml", "identified", "95 % half-width", "relative %")
+    )
     rows = tuple(
         (
             one.motor,
@@ -324,17 +326,15 @@ def gain_sections(fit: FitFile) -> list[Section]:
         )
         for one in fit.gains
     )
-    values = [f"{one.motor} {one.value:.4g} ± {one.half_width:.2g} {one.unit}" for one in fit.gains]
     return [
         Section(
             title="Drive gains",
             table=Table(columns=heads + columns("unit", ""), rows=rows),
             lines=(
-                f"Smallest Cragg–Donald eigenvalue {known(fit.cragg_donald) or 0.0:.3g}, which "
-                f"shows how "
-                "well the payload separates gains and arm",
+                f"Smallest Cragg–Donald eigenvalue: {known(fit.cragg_donald) or 0.0:.3g}. It shows "
+                "how well the payload separates drive gains and arm.",
             ),
-            short=Section(lines=(f"Drive gains: {', '.join(values)}",)),
+            short=Section(lines=(("Drive gains", ", ".join(map(GAIN.format, fit.gains))),)),
         )
     ]
 
@@ -370,13 +370,14 @@ def _payload_section(one: PayloadOfFit, joint: str) -> Section:
         ),
         *(_row(of.name, of.value, of.half_width or 0.0, of) for of in inertias),
     )
-    short = f"{title}: mass {m:.4g} kg"
-    if mass.from_prior and not weighed:
-        short = (
-            f"{title}: it has no scale, because it cannot be separated from the arm. Record "
-            f"without "
-            "it too, or give its mass"
-        )
+    short = (
+        [
+            "the recordings do not separate its mass from the arm",
+            "→ Record without it too, or specify its mass.",
+        ]
+        if mass.from_prior and not weighed
+        else [f"mass {m:.4g} kg"]
+    )
     return Section(
         title=title,
         table=Table(
@@ -385,9 +386,10 @@ def _payload_section(one: PayloadOfFit, joint: str) -> Section:
             rows=rows,
         ),
         lines=(
-            f"Given: {one.described}; values in the frame of {joint}, inertia about its origin",
+            f"Given: {one.described}. Values are in the frame of {joint}, inertias about its "
+            "origin.",
         ),
-        short=Section(lines=(short,)),
+        short=Section(lines=((title, *short),)),
     )
 
 

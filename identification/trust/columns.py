@@ -120,7 +120,7 @@ ADDED_COLUMNS = Words(
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
     """List zeros whose large error goes unnoticed, and disabled rotor inertias."""
-    for kind in (kinds.ZERO, kinds.ROTOR):
+    for kind, what in ((kinds.ZERO, "joint zeros"), (kinds.ROTOR, "rotor inertias")):
         unnoticed = {
             t.where.removeprefix("of joint "): f"up to {t.noticed:.2g} {t.unit}"
             if np.isfinite(t.noticed)
@@ -130,7 +130,7 @@ def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
         }
         if unnoticed:
             yield assume(
-                f"{kind}s",
+                what,
                 joints=", ".join(unnoticed),
                 each=", ".join(f"{size} at {joint}" for joint, size in unnoticed.items()),
             )

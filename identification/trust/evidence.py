@@ -256,6 +256,7 @@ class Words:
         cases: Mapping[str, object],
         *,
         value: float | None = None,
+        expected: float | None = None,
         figures: tuple[Figure, ...] = (),
         assumed: tuple[Assumed, ...] = (),
         **said: object,
@@ -278,6 +279,7 @@ class Words:
             text=text,
             advice=advice,
             value=value,
+            expected=expected,
             finding=finding,
             figures=figures,
             unit=self.unit,
@@ -344,8 +346,8 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
         "their mean elsewhere",
         "other recordings are validated with the mean over these recordings",
     ),
-    "ratios": Assumption("{ratios}", "joint positions and torques are computed with them"),
-    "lengths": Assumption("{lengths}", "link parameters absorb an error of a length"),
+    "gear ratios": Assumption("{ratios}", "joint positions and torques are computed with them"),
+    "link lengths": Assumption("{lengths}", "link parameters absorb an error of a length"),
     "sample rate": Assumption("{fs:g} Hz", "speeds and accelerations scale with it"),
     "control law": Assumption(
         "{law}{default}", "{reason}", {"default": "a {bandwidth_hz:g} Hz PD"}
@@ -368,10 +370,10 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
         "the same spectrum below and above the low-pass",
         "position noise biases least squares, and only the noise above the low-pass is tested",
     ),
-    "zeros": Assumption(
+    "joint zeros": Assumption(
         "right at {joints}", "a wrong zero changes the links' parameters; not noticed: {each}"
     ),
-    "rotors": Assumption(
+    "rotor inertias": Assumption(
         "none at {joints} (rotor_inertia = false)",
         "the links' parameters absorb a rotor inertia; not noticed: {each}",
     ),

@@ -140,6 +140,7 @@ def _line_of(
             "ok": True,
         },
         value=float(100 * error / torque),
+        expected=float(100 * training / torque),
         figures=figures_of(names, percents[:, 0], 0 * percents[:, 0], percents[:, 1]),
         training=100 * training / torque,
         of_recordings=several,

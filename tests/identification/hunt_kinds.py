@@ -532,7 +532,10 @@ KINDS = {
         change=denied_rotor, named=(("missing terms", "rotor"),), robots=("scara",)
     ),
     "zero of a joint 2°": Kind(
-        change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)
+        change=zero_of_joint,
+        named=((ASSUMED, "joint zeros"),),
+        robots=("scara",),
+        unseen=("scara",),
     ),
     "joint off by 90 degrees": Kind(
         change=quarter_turn, named=(("a priori links", "off by"),), robots=WITH_PRIOR

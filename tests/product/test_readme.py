@@ -74,9 +74,12 @@ def test_commands_without_hardware_run(tmp_path, monkeypatch, capsys):
         capsys.readouterr()
         assert IDENTIFY.main(["fit", str(REPLAY / robot / "session.mcap")]) == 0
         shown = re.split(r"^    robot-identify fit .*\n\n", TEXT[page], flags=re.MULTILINE)[1]
-        lines = re.match(r"(    .*\n)+", shown)[0].partition("    ...\n")[0].splitlines()
+        block = re.match(r"(    .*\n|\n)+", shown)[0].partition("    ...\n")[0]
+        lines = [line for line in block.splitlines() if line]
         assert lines[0].startswith(f"    {robot.upper()}: ")
-        printed = (line for line in capsys.readouterr().out.splitlines() if "──" not in line)
+        assert len(lines) > 10
+        out = capsys.readouterr().out
+        printed = (line for line in out.splitlines() if line and "──" not in line)
         # The beginning of the report.
         for line, now in zip(lines, printed, strict=False):
             (words, numbers), (words_now, numbers_now) = masked(line.strip()), masked(now.strip())

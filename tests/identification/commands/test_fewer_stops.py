@@ -26,10 +26,7 @@ def test_table_instead_of_recording(capsys, tmp_path):
 def test_written_files_show_how_to_open(capsys, tmp_path):
     report, picture = tmp_path / "a.html", tmp_path / "a.rrd"
     said = answer(capsys, "fit", SCARA, "--method", "wls", "--report", report, "--rrd", picture)
-    assert said.endswith(
-        f"open the report: {report} in a browser\nopen the plots: rerun --bind 127.0.0.1 "
-        f"{picture}\n"
-    )
+    assert said.endswith(f"Report: {report}\nPlots: rerun --bind 127.0.0.1 {picture}\n")
 
 
 def test_study_reports_run_time_and_zeros(capsys, tmp_path):

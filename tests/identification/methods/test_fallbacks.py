@@ -65,8 +65,6 @@ def test_unknown_payload_alone_has_no_scale(capsys):
         main(["fit", str(REPLAY / "scara" / "session.mcap"), "--payload", "session=unknown"]) == 0
     )
     printed = " ".join(capsys.readouterr().out.split())
-    assert (
-        "Payload of session.mcap: it has no scale, because it cannot be separated from the arm"
-        in printed
-    )
+    assert "Payload of session.mcap the recordings do not separate its mass from the arm" in printed
+    assert "→ Record without it too, or specify its mass." in printed
     assert "mass 1 kg" not in printed

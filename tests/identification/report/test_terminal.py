@@ -30,7 +30,7 @@ WIDE = Document(
         Section(
             title="hidden",
             lines=("only with --all",),
-            short=Section(hint="3 more lines: --all"),
+            short=Section(hint="all 3 lines"),
         ),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
     ),
@@ -52,7 +52,7 @@ def test_short_report_wraps_without_cutting_names(capsys):
         "a number and its unit stay together"
     )
     assert "only with --all" not in out
-    assert "3 more lines: --all" in lines
+    assert "(show all 3 lines with --all)" in lines
     assert not set("┃│") & set(out)
 
 
@@ -60,7 +60,7 @@ def test_all_option_hides_nothing(capsys):
     print_whole(WIDE)
     lines = capsys.readouterr().out.splitlines()
     assert {("word " * 60).strip(), "only with --all"} <= set(lines)
-    assert "3 more lines: --all" not in lines
+    assert "(show all 3 lines with --all)" not in lines
 
 
 def test_short_table_counts_hidden_rows():
@@ -70,7 +70,7 @@ def test_short_table_counts_hidden_rows():
     )
     short = section.with_short_table([5, 2]).short
     assert short.table.rows == (("p2",), ("p5",))
-    assert (short.lines, short.hint) == (("a line",), "19 more rows: --all")
+    assert (short.lines, short.hint) == (("a line",), "all 21 rows")
     assert short.warnings == ("a warning",)
     few = Section(table=Table(columns=columns("name"), rows=rows[:20]))
     assert few.with_short_table([1]) is few
@@ -89,4 +89,4 @@ def test_short_comparison_has_largest_and_warnings():
     assert section.warnings == ("a warning",)
     assert len(section.table.rows) == 10
     assert {"Fv1", "Ia6"} <= {row[0] for row in section.table.rows}
-    assert section.hint == "50 more rows: --all"
+    assert section.hint == "all 60 rows"

@@ -46,17 +46,32 @@ def test_the_verdict_comes_first_with_one_error():
     )
     assert a < b
     assert document.title == "SCARA: instrumental variables (IV), converged after 2 iterations"
-    verdict = document.sections[0]
-    assert verdict.lines[:5] == (
-        "Verdict: trust. All 13 tests passed.",
-        f"Torque error: {error:.3g} % in motion (221 of 284 rows, low-pass 11.8 Hz)",
-        f"Cross-validation: {held:.3g} % held out, {error:.3g} % fitted, over the same rows",
-        f"2 of 8 parameters well determined; 95 % half-width: median {(a + b) / 2:.2g} %, largest "
-        f"{b:.2g} % (ZZ2)",
-        "Assumptions that no test covers: drive gains, efforts, ratios, lengths, sample rate, "
-        "zeros, rotors",
-    )
+    verdict, summary, *_ = document.short.sections
+    assert document.badge == "trust · All 13 tests passed"
+    assert (verdict.title, verdict.lines) == ("Verdict: trust. All 13 tests passed.", ())
     assert verdict.warnings == ("a wrong gain",)
+    rest = fit.errors[-1].standing_relative_error_percent
+    assert summary.lines == (
+        (
+            "Torque error",
+            f"{error:.3g} % in motion, {rest:.3g} % at standstill (static friction is not "
+            "modelled)",
+        ),
+        ("Cross-validation", f"{held:.3g} % held out, {error:.3g} % fitted, over the same rows"),
+        (
+            "Parameters",
+            f"2 of 8 well determined; 95 % half-width: median {(a + b) / 2:.2g} %, largest "
+            f"{b:.2g} % (ZZ2)",
+        ),
+        (
+            "Assumed",
+            "drive gains, efforts, gear ratios, link lengths, sample rate, joint zeros, rotor "
+            "inertias (assumptions that no test covers)",
+        ),
+    )
+    assert "221 of 284 rows are in motion. Torque errors have a low-pass of 11.8 Hz." in (
+        document.sections[1].lines
+    )
 
 
 @pytest.mark.parametrize("wide", [(), ("Fv1", "Fc2"), None])
@@ -74,21 +89,22 @@ def test_outputs_count_same_parameters(kept, wide):
     fit = with_essential(fit, kept, F=1.0)
     expected = {name for name in kept if name not in wide}
     document, file = fit_document(fit_file(fit)), fit_file(fit)
-    marked = rows_of(document.sections[1].table)
+    marked = rows_of(document.sections[2].table)
     assert {name for name, row in marked.items() if row["essential"] == "yes"} == expected
     flagged = [p for p in file.parameters if p.essential]
     assert {p.name for p in flagged} == set(file.essential.names) == expected
     percents = {p.name: 100 * p.half / abs(p.value) for p in flagged}
-    text = f"{len(expected)} of 8 parameters well determined"
+    text = f"{len(expected)} of 8 well determined"
     if percents:
         worst = max(percents, key=percents.get)
         median = np.median(list(percents.values()))
         text += (
             f"; 95 % half-width: median {median:.2g} %, largest {percents[worst]:.2g} % ({worst})"
         )
-    assert text in document.sections[0].lines
-    counts = re.findall(r"(\d+)(?:;| have)", line := document.sections[0].lines[-1])
-    assert sum(map(int, counts)) == 8, line
+    assert ("Parameters", text) in document.sections[1].lines
+    line = document.sections[1].lines[-1]
+    counts = [re.search(rf"(\d+) {what}", line) for what in ("of", "unclear", "without effect")]
+    assert sum(int(found[1]) for found in counts if found) == 8, line
 
 
 @pytest.mark.parametrize("everything", [False, True])
@@ -97,7 +113,7 @@ def test_table_has_essential_parameters_or_all(everything):
     fit = with_essential(ls_of(SCARA), essential)
     document = fit_document(fit_file(fit))
     document = document if everything else document.short
-    section = document.sections[1]
+    section = document.sections[2]
     rows = rows_of(section.table)
     ordered = sorted(fit.estimate.names, key=lambda name: name[0] == "F")  # friction last
     assert tuple(rows) == (tuple(ordered) if everything else essential)
@@ -111,8 +127,9 @@ def test_table_has_essential_parameters_or_all(everything):
             assert row["essential"] == ("yes" if name in essential else "")
         else:
             assert not {"classical standard error", "essential"} & {*row}
-    assert section.hint == ("" if everything else "6 more parameters: --all")
+    assert section.hint == ("" if everything else "all 8")
     assert rows["Fc2"]["meaning"] == "Coulomb friction of elbow"
+    assert rows["ZZ1R"]["meaning"] == "moment of inertia zz of link 1 (regrouped)"
     assert ("ZZ1R = ZZ1 + 0.25 M2" in document.sections[-1].lines) == everything
 
 
@@ -127,16 +144,20 @@ def test_short_report_has_ten_largest_and_findings():
     fit = replace(
         fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6))
     )
-    verdict, parameters, errors, *rest = (s for s in fit_document(fit_file(fit)).short.sections)
+    verdict, summary, parameters, errors, *rest = fit_document(fit_file(fit)).short.sections
     assert verdict.warnings == fit.warnings[:4]
-    assert verdict.hint == "2 more warnings: --all"
-    assert not any(line.startswith("Status") for line in verdict.lines), "the title has it"
-    skipped = [line.test for line in lines if line.level == "skipped"]
-    assert verdict.lines[0] == (
-        f"Verdict: caution. 1 of {len(lines)} tests found a problem; "
-        f"{len(skipped)} skipped: {', '.join(skipped)}."
+    assert summary.hint == "all 6 warnings"
+    assert "Status" not in dict(summary.lines), "the title has it"
+    assert verdict.title == f"Verdict: caution. 1 of {len(lines)} tests found a problem."
+    levels = {line.test: line.level for line in lines}
+    assert verdict.lines == (
+        (finding.test, finding.text, *([f"→ {finding.advice}"] if finding.advice else [])),
+        *(
+            (level, ", ".join(test for test, of in levels.items() if of == level))
+            for level in ("inconclusive", "skipped")
+            if level in levels.values()
+        ),
     )
-    assert verdict.lines[1] == f"{finding.test}: {finding.text}"
     torque = dict(zip(fit.estimate.names, np.abs(fit.data.W * fit.beta).max(axis=0), strict=True))
     essential = {name: torque[name] for name in fit.essential_names}
     assert {row[0] for row in parameters.table.rows} == set(
@@ -153,6 +174,6 @@ def test_validation_and_recording_name_themselves():
     assert document.sections[0].warnings == ("another robot",)
     assert [row[0] for row in document.sections[1].table.rows] == ["shoulder", "elbow", "all"]
     recorded = recording_document(signals, None, "no joint moves")
-    assert recorded.sections[0].lines[0] == "cannot be fitted: no joint moves"
+    assert recorded.sections[0].lines[0] == "This recording cannot be fitted: no joint moves"
     low, high = (recorded.sections[1].table.rows[1][k].value for k in (2, 3))
     assert (low, high) == (signals.q[:, 1].min(), signals.q[:, 1].max())

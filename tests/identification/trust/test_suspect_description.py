@@ -37,7 +37,11 @@ def arm() -> SetUp:
 
 
 def assumed(fit: Evidence) -> dict[str, str]:
-    return {one.what: one.value for one in fit.trust.assumed if one.what in ("zeros", "rotors")}
+    return {
+        one.what: one.value
+        for one in fit.trust.assumed
+        if one.what in ("joint zeros", "rotor inertias")
+    }
 
 
 def figures(fit: Evidence, kind: str) -> list[tuple[str, float, float]]:
@@ -60,7 +64,7 @@ def test_disabled_rotor_named_with_size():
     ((_, value, t),) = figures(fit, "rotor")
     assert value == pytest.approx(0.3 * setup.robot.parameters["ZZ2"], rel=0.15)
     assert abs(t) > 10
-    assert "rotors" not in assumed(fit)
+    assert "rotor inertias" not in assumed(fit)
     # that of the shoulder is a part of ZZ1R
     ((where, value, t),) = figures(clean("scara"), "rotor")
     assert where == "of joint elbow"
@@ -91,15 +95,15 @@ def test_unseen_zeros_and_rotors_assumed():
     nowhere in the torque.
     """
     assert assumed(clean("scara")) == {
-        "zeros": "right at elbow",
-        "rotors": "none at elbow (rotor_inertia = false)",
+        "joint zeros": "right at elbow",
+        "rotor inertias": "none at elbow (rotor_inertia = false)",
     }
     assert assumed(clean("emps")) == {}
     zero = KINDS["zero of a joint 2°"].change(white("scara"), np.random.default_rng(1))
     off = fit_by_default(zero.recording(3))
     moved = np.abs(off.estimate.beta - clean("scara").estimate.beta) / off.intervals.half
     assert moved[off.estimate.names.index("MY2")] > 3
-    assert (off.trust.line("missing terms").level, assumed(off)["zeros"]) == (
+    assert (off.trust.line("missing terms").level, assumed(off)["joint zeros"]) == (
         "ok",
         "right at elbow",
     )
@@ -109,11 +113,11 @@ def test_joint_zero_named_in_degrees_or_assumed():
     signals = arm().recording(3)
     clean = fit_by_least_squares(signals)
     assert max(abs(t) for _, _, t in figures(clean, "zero")) < 4
-    assert "joint_6" in assumed(clean)["zeros"]
+    assert "joint_6" in assumed(clean)["joint zeros"]
     off = np.deg2rad(2.0) * (np.arange(6) == 2)
     fit = fit_by_least_squares(replace(signals, q=signals.q - off, q_ref=signals.q_ref - off))
     value, t = {where: x for where, *x in figures(fit, "zero")}["of joint joint_3"]
-    assert "joint_3" not in assumed(fit).get("zeros", "")
+    assert "joint_3" not in assumed(fit).get("joint zeros", "")
     assert abs(t) > 5
     assert value == pytest.approx(2.0, abs=3 * abs(value / t))
     assert fit.trust.line("missing terms").level == "caution"

@@ -285,13 +285,13 @@ def test_compare_matches_parameters_by_meaning(capsys, tmp_path):
         (
             b,
             {
-                "of 7 parameters in both 7 within 1 sigma",
-                "only in a: ZZ1R",
-                "only in b: ZZ1R of b",
+                "Of 7 parameters in both, 7 within 1, ",
+                "Only in a: ZZ1R.",
+                "Only in b: ZZ1R of b.",
                 frames,
             },
         ),
-        (old, {"of 8 parameters in both", "matched by name"}),
+        (old, {"Of 8 parameters in both", "matched by name"}),
     ):
         status, told, _ = run(capsys, "compare", a, file)
         assert status == 0

@@ -152,7 +152,15 @@ def test_clean_recording_is_trusted(method):
     assert {x.level for x in lines.values()} == {"ok"}
     assert fit.trust.verdict == "trust"
     assumed = {one.what: one for one in fit.trust.assumed}
-    both = {"drive gains", "efforts", "ratios", "lengths", "sample rate", "zeros", "rotors"}
+    both = {
+        "drive gains",
+        "efforts",
+        "gear ratios",
+        "link lengths",
+        "sample rate",
+        "joint zeros",
+        "rotor inertias",
+    }
     assert set(assumed) == (both if method == "iv" else both | {"encoder noise", "delay"})
     assert assumed["sample rate"].value == "1000 Hz"
     assert all(one.value and one.why for one in assumed.values())

@@ -104,8 +104,13 @@ def test_result_precedes_appendix(tmp_path):
     measured, model, rest = (curve.line[1] for curve in picture(TX40).first.curves)
     np.testing.assert_allclose(measured - model, rest)
     assert np.abs(rest).max() < 0.5 * np.abs(measured).max()
-    assert result.split("border-radius")[1].split("</span>")[0].endswith(f">{fit.trust.verdict}")
-    assert f"{fit.errors[-1].moving_relative_error_percent:.2g} %" in result
+    assert (
+        result.split("border-radius")[1]
+        .split("</span>")[0]
+        .endswith(f">{fit.trust.verdict} · All 14 tests passed")
+    )
+    assert f"{fit.errors[-1].moving_relative_error_percent:.3g} %" in result
+    assert "--all" not in text, "no reader of a page has options"
     assert appendix.count("<figure") > 20
 
 

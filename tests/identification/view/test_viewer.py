@@ -76,7 +76,7 @@ def test_iv_fit_shows_simulated_robot(name, written):
         np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
     text = file.static["/report"]["TextDocument:text"][0]
     for part in (
-        "Simulated robot against the recording",
+        "Difference between simulated robot and recording",
         "Iterations from start",
         "IV and LS",
         "IV and true",

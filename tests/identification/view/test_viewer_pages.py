@@ -244,7 +244,7 @@ def test_differences_in_their_standard_errors():
     assert (rows["M3"].a, rows["M3"].off, rows["M4"].b) == (None, None, None)
     by_name, _, *alone = comparison_section(a, b).lines
     assert "matched by name" in by_name
-    assert alone == ["only in A: M4", "only in B: M3"]
+    assert alone == ["Only in A: M4.", "Only in B: M3."]
     with pytest.raises(BadInputError, match="no parameter in common"):
         differences(a, values("C", M9=(1.0, 1.0)))
 
