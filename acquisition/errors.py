@@ -155,7 +155,7 @@ class SdoAbortedError(BusFaultError):
     """
 
     def __init__(self, meaning: str, *, node: int, index: int, code: int, **data: Any) -> None:
-        super().__init__(f"refused by the drive: {meaning} (0x{code:08X})", **data)
+        super().__init__(f"the drive refused the access: {meaning} (0x{code:08X})", **data)
         self.node, self.index, self.code, self.meaning = node, index, code, meaning
 
 

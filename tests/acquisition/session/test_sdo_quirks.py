@@ -306,11 +306,11 @@ def test_unsettable_heartbeat_is_not_awaited(tmp_path, monkeypatch):
     done = dry_session(tmp_path / "a.mcap", Task(duration_s=1.0), simulated=kind)
     assert done.outcome.reason == "finished"
     (warning,) = done.events("warning")
-    assert warning.startswith("node 2: object 1017:0 = 100: refused by the drive: write to a read-")
+    assert warning.startswith("node 2: object 1017:0 = 100: the drive refused the access: write")
     assert len(done.recording.samples) > 450
     track = Task(reference=swing(2, seconds=0.3, amplitude=0.02))
     done = dry_session(tmp_path / "b.mcap", track, simulated=kind)
-    assert "1017:0 = 100: refused by the drive" in done.outcome.reason
+    assert "1017:0 = 100: the drive refused the access" in done.outcome.reason
     assert done.events("phase") == ["configure"]
 
 
