@@ -282,7 +282,7 @@ def _consumers(master: Master, drive: Drive) -> Property:
     return name, (used or "none in use") + (
         "; no sub-index is free, so the drive does not detect the loss of the master"
         if sub is None
-        else f"; --track writes 0x{entry_of(file):08X} (node {file.master_node}, "
+        else f"; motion writes 0x{entry_of(file):08X} (node {file.master_node}, "
         f"{timeout_ms(file)} ms) to sub-index {sub}"
     )
 

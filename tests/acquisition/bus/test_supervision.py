@@ -199,7 +199,7 @@ OFF |= {k: f"{ramp}, then off" for k, ramp in RAMPS.items()}
           for index, options in ((0x605A, OFF | HELD), (0x605E, OFF))
           for k, words in options.items()),
         ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
-        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node "
+        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; motion writes 0x007F012C (node "
                                           "127, 300 ms) to sub-index 2"),
         ({(0x1016, 0): 0}, (), "1016 = none in use; no sub-index is free, so the drive does not "
                                "detect the loss of the master"),
