@@ -89,7 +89,11 @@ def run(options: argparse.Namespace) -> int:
     refused = ("do not use", "caution") if options.require else ("do not use",)
     worst = fit.trust.lines[0].level
     return shared.trust_status(
-        [line.text for line in fit.trust.lines if line.level == worst and worst in refused]
+        [
+            f"{line.text}. {line.advice}".removesuffix(". ")
+            for line in fit.trust.lines
+            if line.level == worst and worst in refused
+        ]
     )
 
 

@@ -60,7 +60,9 @@ def _trust_keys(fit: Evidence) -> dict[str, Any]:
         "trust": list(lines),
         "assumed": list(fit.trust.assumed),
         "doubts": [
-            report.PhysicalWarning(text=line.text, severe=line.level == "do not use")
+            report.PhysicalWarning(
+                text=f"{line.text}. {line.advice}", severe=line.level == "do not use"
+            )
             for line in lines
             if line.test == "physical plausibility" and line.level != "ok"
         ],

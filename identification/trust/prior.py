@@ -101,7 +101,7 @@ PRIOR = Words(
     cases={
         "cause": Case(
             "caution",
-            "with {cause} corrected, {links} explain the recorded torques",
+            "{cause}. With this corrected, {links} explain the recorded torques",
             "Check this, and import again.",
             "{cause}?",
         ),

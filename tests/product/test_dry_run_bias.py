@@ -164,7 +164,7 @@ def test_one_demand_per_sync_is_a_note():
     assert not [line for line in fit.warnings if "SYNC" in line]
     verdict = fit_document(fit_file(fit)).sections[0]
     for section in (verdict, verdict.short):
-        assert f"note: {fit.notes[0]}" in section.lines
+        assert f"Note: {fit.notes[0]}" in section.lines
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()
 
 

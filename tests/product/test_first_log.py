@@ -60,7 +60,7 @@ def test_ur5_rtde_log(tmp_path, monkeypatch, capsys):
     )
     assert err == ""
     assert identify(["fit", "ur5.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
-    assert "six: IV (reference recorded), converged" in capsys.readouterr().out
+    assert "six: instrumental variables (IV), converged" in capsys.readouterr().out
     assert Path("report.html").stat().st_size > 10_000
     dynamics, rng = InverseModel(load_robot(Path("robot.toml"))), np.random.default_rng(0)
     base = base_parameters(dynamics)

@@ -238,7 +238,7 @@ def test_fit_beyond_effort_limit_is_not_trusted(session):
     assert line.text.split(": check")[0].split("; ") == [
         text for text in fit.warnings if text.startswith("the effort of ")
     ]
-    assert (fit.trust.verdict, fit.trust.lines[0].finding) == ("caution", "effort beyond its limit")
+    assert (fit.trust.verdict, fit.trust.lines[0].finding) == ("caution", "effort above its limit")
 
 
 def test_effort_over_limit_warns_with_known_gains(session):

@@ -19,12 +19,12 @@ def test_fit_prints_table_and_writes_json(capsys, tmp_path):
     files = "--json", tmp_path / "fit.json", "--report", tmp_path / "fit.md"
     status, out, err = run(capsys, "fit", SESSION, *files)
     assert (status, err) == (0, "")
-    assert out.startswith("SCARA: IV (reference recorded), converged, trust; 0.")
+    assert out.startswith("SCARA: instrumental variables (IV), converged after ")
     assert (tmp_path / "fit.md").read_text().startswith(f"# {out.splitlines()[0]}")
     assert "fit.txt: ending = '.txt'" in refused(
         capsys, "fit", SESSION, "--report", tmp_path / "fit.txt"
     )
-    assert "the 8 that move the torque most, of 8 determined" in out
+    assert "The 8 parameters with the largest torque, of 8 well determined" in out
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert [p["name"] for p in fit["parameters"]] == [
         "ZZ1R",
@@ -68,7 +68,7 @@ def test_requested_verdict_sets_exit_status(capsys, tmp_path):
     status, out, err = run(capsys, "fit", SESSION, *options)
     assert (status, err.count("\n")) == (3, 1)
     assert err.startswith("robot-identify: not to be trusted: ")
-    assert "caution: lag" in out
+    assert "\ndelay: " in out
     assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "caution"
 
 
@@ -155,7 +155,7 @@ def test_faulted_session_is_fitted(capsys, tmp_path):
     status, out, _ = run(capsys, "fit", tmp_path / "log.mcap", "--method", "iv", "--all")
     assert status == 0
     assert "42 are missing in 3 gap(s)" in " ".join(out.split())
-    assert "verdict: trust" in out
+    assert "Verdict: trust" in out
 
 
 def test_unknown_gains_give_volts_and_warning(capsys, tmp_path):

@@ -74,8 +74,8 @@ def test_killed_worker_ends_run_in_one_line(tmp_path):
     tasks = [(tmp_path / "mark", number, 1) for number in range(6)]
     line = told_of(Work(2), killed, tasks)
     wanted = (
-        "A worker process managed by the executor was unexpectedly terminated: expected more "
-        "memory, or a smaller Work(N)"
+        "A worker process managed by the executor was unexpectedly terminated. Use fewer workers, "
+        "or more memory (workers)."
     )
     assert line == wanted
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"

@@ -88,7 +88,7 @@ def replayed(signals: Signals):
 def test_recomputed_output_subtracts_gravity():
     line = replayed(described())
     assert line.level == "ok", line.text
-    assert line.text.endswith("gravity that is fed forward is fitted and subtracted")
+    assert line.text.endswith("gravity fed forward is fitted and subtracted")
     assert replayed(described(gravity_feedforward=False)).level == "caution"
     line = replayed(replace(described(), effort=1.1 * recorded().effort))
     assert (line.level, line.value) == ("caution", pytest.approx(1.1, abs=0.02))

@@ -88,7 +88,7 @@ def test_held_joint_does_not_block_others(held):
     cautions = [
         line.text for line in fit.trust.lines if line.test == "motion" and line.level == "caution"
     ]
-    assert [text.split(":")[0] for text in cautions] == (
+    assert [text.split(",")[0] for text in cautions] == (
         ["joint shoulder does not move"] if held == 0 else []
     )
 

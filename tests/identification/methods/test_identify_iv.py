@@ -245,7 +245,7 @@ def test_inertias_of_regular_start():
 def test_command_line(capsys, tmp_path):
     out, again, other = (tmp_path / f"{name}.json" for name in ("iv", "again", "other"))
     assert main(["fit", str(SCARA), "--method", "iv", "--all", "--json", str(out)]) == 0
-    assert "passes from start: ls" in capsys.readouterr().out
+    assert "Iterations from start: ls" in capsys.readouterr().out
     fit = json.loads(out.read_text())
     assert (fit["status"], fit["reference"], fit["method"]) == ("converged", "recorded", "iv")
     keys = {

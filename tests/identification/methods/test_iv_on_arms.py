@@ -132,5 +132,5 @@ def test_distance_to_consistent_model_reported():
     assert line.level == "caution"
     assert line.value > 1000
     # chi-squared of 8 degrees of freedom is above 26.12 in 0.1 % of cases, by any table
-    assert "above 26.1, the limit of chance: check signs and units" in line.text
+    assert "above the 0.1 % limit of 26.1" in line.text
     assert ls_of(path).trust.line("physically consistent").level == "ok"

@@ -28,7 +28,11 @@ SCARA = GainCase(robot="scara", white=5.0)
 
 @pytest.mark.parametrize(
     ("off_m", "mass_kg", "told"),
-    [((0.003, 0, 0), 2.0, None), ((0, 0, 0.015), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
+    [
+        ((0.003, 0, 0), 2.0, None),
+        ((0, 0, 0.015), 2.0, "centre of mass"),
+        ((0, 0, 0), 1.0, "drive gains"),
+    ],
 )
 def test_wrong_payload_value_reported(off_m, mass_kg, told):
     """Taken as exact, 3 mm would move the last gain by 2.8 half-widths.
@@ -45,8 +49,8 @@ def test_wrong_payload_value_reported(off_m, mass_kg, told):
         [told] if told else []
     )
     assert fit.trust.verdict == ("caution" if told else "trust")
-    if told == "gains":
-        assert "check the payload's mass" in fit.trust.line("drive gains").text
+    if told == "drive gains":
+        assert "Check the payload's mass" in fit.trust.line("drive gains").advice
         return
     assert (off_in_half_widths(fit, mujoco_arm.GAINS) <= 2).all()
     assert (gains_of(fit)[1] < 0.01 * mujoco_arm.GAINS).all()

@@ -218,7 +218,7 @@ def test_file_holds_model_inputs(tmp_path, capsys):
     )
     assert [p["name"] for p in standard] == list(model.names)
     assert c["prior"].startswith("prior.toml: ")
-    assert f"chi² {c['chi2']:.3g} on 8 parameters" in printed
+    assert f"chi² {c['chi2']:.3g} over 8 parameters" in printed
     assert {p["name"] for p in content["left_out"] + content["parameters"]} == set(base)
     assert "robot.toml" in content["description"]
     assert [p.value for p in read_fit(out).standard_parameters] == [p["value"] for p in standard]
@@ -292,7 +292,7 @@ def test_validate_judges_consistent_set(tmp_path, capsys, monkeypatch):
     out.write_text(json.dumps(content))
     plain, consistent = judged()
     assert consistent > 1.01 * plain
-    assert "consistent set: " in capsys.readouterr().out
+    assert "Physically consistent: " in capsys.readouterr().out
     between = [
         "validate",
         str(out),

@@ -112,14 +112,18 @@ CASES = {
     ),
     "two efforts exchanged": Case(
         faulty=lambda: faulty("efforts of two motors exchanged"),
-        advice="are exchanged",
+        advice="are swapped",
         follow=lambda signals: replace(signals, effort=signals.effort[:, ::-1]),
     ),
 }
 
 
 def texts(fit: Evidence) -> list[str]:
-    return [line.text for line in fit.trust.lines if line.level in ("do not use", "caution")]
+    return [
+        f"{line.text} {line.advice}"
+        for line in fit.trust.lines
+        if line.level in ("do not use", "caution")
+    ]
 
 
 @pytest.mark.parametrize("fault", CASES)

@@ -29,7 +29,7 @@ def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
 
 def first(fit: Evidence) -> tuple[str, str]:
     """Verdict and finding: what the user reads first."""
-    return fit.trust.verdict, fit.trust.lines[0].finding
+    return fit.trust.verdict, fit.trust.lines[0].finding or fit.trust.lines[0].test
 
 
 def with_sign(signals: Signals, motor: int) -> Signals:
@@ -40,9 +40,9 @@ def with_sign(signals: Signals, motor: int) -> Signals:
 def test_swapped_efforts_named():
     signals = setup("scara", 2).recording(2)
     fit = fit_by_least_squares(replace(signals, effort=signals.effort[:, ::-1]))
-    assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are exchanged")
-    error = fit.trust.line("signs and order").text.split("torque errors of joints are ")[1]
-    left, with_it = (float(text.split(" %")[0]) for text in error.split(" in place of "))
+    assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are swapped")
+    error = fit.trust.line("signs and order").text.split("fall from ")[1]
+    with_it, left = (float(text.split(" %")[0]) for text in error.split(" to "))
     sound_errors = [
         joint.moving_relative_error_percent for joint in fit_by_least_squares(signals).errors[:-1]
     ]
@@ -85,12 +85,12 @@ def test_coupled_wrist_names_motor():
     swapped = of_motors(lambda efforts: efforts[:, order])(signals)
     assert first(fit_by_least_squares(swapped)) == (
         "do not use",
-        "the efforts of motor_4 and motor_5 are exchanged",
+        "the efforts of motor_4 and motor_5 are swapped",
     )
     by_joint = replace(signals, effort=signals.effort[:, [0, 1, 2, 3, 5, 4]])
     assert first(fit_by_least_squares(by_joint)) == (
         "do not use",
-        "the efforts of joint_5 and joint_6 are exchanged",
+        "the efforts of joint_5 and joint_6 are swapped",
     )
 
 

@@ -3,6 +3,7 @@ in what a fit is given.
 """
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -109,14 +110,14 @@ def with_columns(names: str, order=range(6), gain=1.0):
 @pytest.mark.parametrize(
     ("signals", "said"),
     [
-        (("effort", range(6), [10, 1, 1, 1, 1, 1]), "torque of pan is "),
-        (("effort", range(6), [1, 1, 1, 3, 1, 1]), "torque of wrist_1 is "),
-        (("effort", [1, 0, 2, 3, 4, 5]), "recorded efforts of joints pan and lift exchanged?"),
+        (("effort", range(6), [10, 1, 1, 1, 1, 1]), "the torque of pan is "),
+        (("effort", range(6), [1, 1, 1, 3, 1, 1]), "the torque of wrist_1 is "),
+        (("effort", [1, 0, 2, 3, 4, 5]), "recorded efforts of joints pan and lift swapped."),
         (
             ("q q_ref", [0, 1, 3, 2, 4, 5]),
-            "recorded positions of joints elbow and wrist_1 exchanged?",
+            "recorded positions of joints elbow and wrist_1 swapped.",
         ),
-        (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees?"),
+        (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees."),
     ],
 )
 def test_recording_fault_named_at_joints(signals, said):
@@ -131,9 +132,9 @@ def test_uniform_a_priori_error_is_no_fault():
         replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES))
     )
     assert line.level == "inconclusive"
-    assert "the prior is off everywhere" in line.text
+    assert "the a priori links are wrong everywhere" in line.text
     line = told(replace(recorded(), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
-    said = line.text.startswith("torques are 5 times what the URDF's links need: ")
+    said = line.text.startswith("torques are 5 times those of the URDF's links")
     assert (line.level, said) == ("caution", True)
 
 
@@ -152,7 +153,7 @@ def test_no_a_priori_without_gains_or_inertials():
     ):
         fit = fit_by_least_squares(replace(recorded(), robot=robot))
         assert not any(line.test == "a priori links" for line in fit.trust.lines)
-        assert "| prior |" not in to_markdown(fit_document(fit_file(fit)))
+        assert "| a priori |" not in to_markdown(fit_document(fit_file(fit)))
         stored = fit_file(fit)
         assert {stored.prior_source, *(one.prior for one in stored.parameters)} == {msgspec.UNSET}
 
@@ -196,11 +197,12 @@ def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
     model = InverseModel(recorded().robot)
     assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
-    assert "| parameter | value | ±95% | in % | prior | unit |" in report.read_text()
+    assert "| value | 95 % half-width | relative % | a priori | unit |" in report.read_text()
     held = (
-        f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent")
+        f"{stored[key]:.3g} %" for key in ("held_out_error_percent", "prior_held_out_error_percent")
     )
-    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report.read_text()
+    shown = "Cross-validation: {} held out, [0-9.]+ % fitted, over the same rows; a priori links {}"
+    assert re.search(shown.format(*held), report.read_text())
 
     arm.write_text(six_joints((2.0,) * 6))
     status, out, _ = run(capsys, "compare", fit, arm, "--json", tmp_path / "compared.json", "--all")

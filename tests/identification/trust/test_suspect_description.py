@@ -77,7 +77,7 @@ def test_rotor_not_advised_if_ratio_explains():
     setup, fit = denied()
     line = fit.trust.line("missing terms")
     advice = "rotor of joint elbow missing", "rotor_inertia = true"
-    assert [text in line.text for text in advice] == [True, False]
+    assert [text in line.advice for text in advice] == [True, False]
     signals = setup.recording(3)
     joints = tuple(
         msgspec.structs.replace(joint, rotor_inertia=True) for joint in signals.robot.joints

@@ -108,9 +108,11 @@ def test_wrong_effort_sign_named_with_joint(name, method, joint, request):
     fit = identify(
         dataclasses.replace(signals, effort=signals.effort * sign), Overrides(), method=method
     )
-    told = f"check the sign of effort and position of joint {signals.robot.joints[joint].name}"
-    for part in (told, "below zero", "inertia matrix is not positive"):
-        assert any(part in x.text for x in fit.trust.lines if x.level == "do not use")
+    told = f"Check the sign of effort and position of joint {signals.robot.joints[joint].name}"
+    for part in (told, "negative: ", "inertia matrix is not positive"):
+        assert any(
+            part in f"{x.text} {x.advice}" for x in fit.trust.lines if x.level == "do not use"
+        )
     assert (fit.trust.verdict, fit.trust.line("physical plausibility").value < 0) == (
         "do not use",
         True,
@@ -134,12 +136,12 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     assert (status, err.count("\n")) == (3, 1)
     assert err.startswith("robot-identify: not to be trusted: ")
     assert "of joint elbow" in err
-    assert "do not use: physical: " in printed
+    assert "Verdict: do not use. " in printed
     written = json.loads(out.read_text())
     assert written["verdict"] == "do not use"
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
-    keys = {"test", "level", "value", "text", "case"}
+    keys = {"test", "level", "value", "text", "advice", "case"}
     assert all(keys <= {*line} <= keys | {"finding", "figures", "unit"} for line in severe)
     assert "physical plausibility" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)

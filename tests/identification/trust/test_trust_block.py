@@ -80,7 +80,7 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
     toml, arm = REPLAY / name / "robot.toml", name == "tx40"
     described = plant(toml)
     controller = designed_pd(described, 10.0, 500.0) if arm else described_controller(described)
-    body = plant(toml, tilt_rad=np.deg2rad(3.0) if fault == "tilt of gravity" else 0.0)
+    body = plant(toml, tilt_rad=np.deg2rad(3.0) if fault == "base tilt" else 0.0)
     friction = {
         "asymmetric friction": {"asymmetry": 0.2},
         "Stribeck friction": {"stribeck": 0.5},
@@ -352,8 +352,8 @@ def test_coefficient_is_the_size_of_the_fault():
 
 def test_gravity_tilt_named_first():
     told = examined("wls", "tx40", fault="base tilt")[0].trust.line("missing terms")
-    assert told.text.startswith("tilt of gravity about x ")
-    assert abs(float(told.text.split()[5])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
+    assert told.text.startswith("base tilt about x ")
+    assert abs(float(told.text.split()[4])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
 
 
 def test_relative_gain_named():

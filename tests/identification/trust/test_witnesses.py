@@ -105,7 +105,7 @@ def test_single_sine_hardly_excites_arm():
     for run, level in enumerate(("ok", "caution")):
         line = fit_by_least_squares(runs.signals(setup.robot, run)).trust.line("excitation")
         assert line.level == level, line.text
-    assert "record a more varied motion" in line.text
+    assert "Record a more varied motion" in line.advice
     assert line.value > 60
 
 

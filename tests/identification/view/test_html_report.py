@@ -84,8 +84,8 @@ def test_file_is_small_and_self_contained(tmp_path):
         assert svg["aria-label"]
     said = " ".join(page.texts)
     for part in (
-        f"verdict: {fit.trust.verdict}",
-        "assumed: drive gains",
+        f"Verdict: {fit.trust.verdict}",
+        "no test covers: drive gains",
         signals.sha256,
         f"numpy {np.__version__}",
     ):
