@@ -2,7 +2,7 @@
 
 A test is a function that finds which of its cases holds, and the figures. All words stand in its
 row, below it, as templates of these figures: the terminal, the report and the JSON print the case
-that holds, and the guides have tables of the rows. A row also has parts of texts. A part stands in
+that holds, and the guide has a table of the rows. A row also has parts of texts. A part stands in
 a text, or in a later part, where its name stands in braces; where the test says that it does not
 hold, nothing stands there. `WORDS` in `verdict` has the rows of all tests.
 """
@@ -229,7 +229,7 @@ class Words:
         place: the order among results of the same level.
         by: the function that returns the result, None where the test does not apply. Without it,
             the result is made with the solution or with its predictions.
-        of_data: True if it tests the recording, not the estimate: the guides begin with these.
+        of_data: True if it tests the recording, not the estimate: the guide begins with these.
         detects, limit, advice: for the guide, what it detects, its limits, and what to do.
         cases: its outcomes, by name.
         parts: parts of the texts of its cases.
