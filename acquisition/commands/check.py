@@ -1,5 +1,5 @@
-"""`robot-acquire check`: which drives answer, and whether they match the
-description; go or no go for a recording and for motion.
+"""`robot-acquire check`: which drives answer, and whether they match the description; go/no-go
+for a recording and for motion.
 """
 
 import argparse
@@ -16,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the findings as a table. A finding that forbids a session is an error."""
+    """Print the verdicts, then all findings; a finding that forbids a session is an error."""
     from ..robot import load_robot, parse_payload, resolve
     from .checking import Finding, check, refusal, table, verdicts
 
@@ -25,6 +25,11 @@ def run(options: argparse.Namespace) -> None:
     findings = check(robot, resolve(robot, str(options.robot)))
     if payload is not None:
         findings.insert(0, Finding("payload", payload.describe(robot.joints[-1].name)))
-    print(*table(findings), *(": ".join(each) for each in verdicts(findings).items()), sep="\n")
+    print(
+        *(f"Check for {name} {verdict}." for name, verdict in verdicts(findings).items()),
+        "",
+        *table(findings),
+        sep="\n",
+    )
     if failed := refusal(findings):
         raise RefusedError(failed, what="motion")

@@ -50,7 +50,7 @@ SCALES = {
 }
 MAX_OFF_SHARE = 0.01  # of SYNC intervals that deviate by more than half a period
 OTHER_NODES = "other nodes"
-NO_ANSWER = "no drive answers; without hardware: `robot-acquire record --dry-run`"
+NO_ANSWER = "no drive answers. Without hardware, run `robot-acquire record --dry-run`"
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         findings = [
             Finding(
                 "bus load",
-                f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, "
-                f"at most {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
+                f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz; "
+                f"the limit is {MAX_LOAD * bus.file.bitrate / bus.bits:.0f} Hz",
                 ok=bus.load <= MAX_LOAD,
             ),
-            Finding("second stop", second_stop(bus.file)),
+            Finding("watchdog", second_stop(bus.file)),
             *(
                 Finding("effort", text)
                 for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)
@@ -88,7 +88,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         ]
         if (sock := socket_of(handle)) is not None:
             granted = queue_bytes(sock)
-            few = f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
+            few = f", less than {QUEUE_BYTES}, so frames may be lost → Raise net.core.rmem_max."
             text = f"{granted} bytes{few if granted < QUEUE_BYTES else ''}"
             findings.append(Finding("kernel queue", text, ok=granted >= QUEUE_BYTES // 10))
         with real_time_scheduling() as scheduling:
@@ -104,45 +104,55 @@ def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
     if lines := lines_to_fill_in(robot):
         yield Finding(
             FILL_IN,
-            f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses",
+            f"lines {', '.join(map(str, lines))} of robot.toml are incomplete → Complete them.",
             ok=False,
             track=True,
         )
     if missing := missing_limits(robot):
-        yield Finding("limits", "; ".join(missing), ok=False, track=True)
+        yield Finding(
+            "limits",
+            f"{'; '.join(missing)} → Add the limits to robot.toml.",
+            ok=False,
+            track=True,
+        )
     try:
         check_carriers(bus)
     except BadInputError as error:
         yield Finding("PDOs", str(error), ok=False, track=True)
     if bus.file.mapped_by_traffic:
-        yield Finding("mapping", "traffic: record --passive only", ok=False)
+        yield Finding(
+            "mapping",
+            'mapping = "traffic" allows passive recordings only → Run `record --passive`.',
+            ok=False,
+        )
 
 
 def table(findings: list[Finding]) -> list[str]:
-    """Return one line per finding, shared by drives with the same one: mark, property, nodes,
-    value.
+    """Return one line per finding, failed ones first: mark, property, nodes, value.
+
+    Drives with the same finding share a line.
     """
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
         key = (finding.subject, one_line(finding.found), finding.ok)
         nodes.setdefault(key, []).extend([] if finding.node is None else [str(finding.node)])
-    # different drives stand below each other
+    # Drives that differ in a property stand below each other, so that readers can compare them.
     order = list(dict.fromkeys(subject for subject, _, _ in nodes))
     rows = sorted(
         ((*key, ", ".join(same)) for key, same in nodes.items()),
-        key=lambda row: order.index(row[0]),
+        key=lambda row: (row[2], order.index(row[0])),
     )
     names, of_nodes = (
         max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows])
     )
     return [
-        f"{'ok' if ok else 'NO'}  {name:{names}}  {of:{of_nodes}}  {found}"
+        f"{'ok' if ok else 'FAILED':6}  {name:{names}}  {of:{of_nodes}}  {found}"
         for name, found, ok, of in rows
     ]
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:
-    """Return what a recording and motion may do: `go`, or `no go` with what forbids it."""
+    """Return whether a recording and motion may begin: `passed`, or `failed` with the reasons."""
     return {
         "recording": _verdict([finding for finding in findings if not finding.track]),
         "motion": _verdict(findings),
@@ -152,11 +162,11 @@ def verdicts(findings: list[Finding]) -> dict[str, str]:
 def _verdict(findings: list[Finding]) -> str:
     failed = [finding for finding in findings if not finding.ok]
     if any(f.found == NO_ANSWER for f in failed):
-        return f"no go: {NO_ANSWER}"
+        return f"failed: {NO_ANSWER}"
     names = dict.fromkeys(
         f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed
     )
-    return f"no go: {', '.join(names)}" if failed else "go"
+    return f"failed: {', '.join(names)}" if failed else "passed"
 
 
 def refusal(findings: list[Finding]) -> str:
@@ -164,8 +174,8 @@ def refusal(findings: list[Finding]) -> str:
     does.
     """
     recording, motion = verdicts(findings).values()
-    no_go = "no go for --track" if recording == "go" else "no go"
-    return "" if motion == "go" else motion.replace("no go", no_go, 1)
+    failed = "the check for --track failed" if recording == "passed" else "the check failed"
+    return "" if motion == "passed" else motion.replace("failed", failed, 1)
 
 
 def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
@@ -175,8 +185,7 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     """
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        unread = "states, needs of a session, supervision, scales and SYNC are not checked"
-        return [Finding(OTHER_NODES, f"{other}; {unread}", ok=False)]
+        return [Finding(OTHER_NODES, f"{other}, so drives and SYNC are not checked", ok=False)]
     findings = [finding for drive in bus.drives for finding in _of_drive(master, drive)]
     if len(findings) == len(bus.drives):  # the state alone: no drive has answered
         return [*findings, Finding("drives", NO_ANSWER, ok=False)]
@@ -184,7 +193,11 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
         *findings,
         _jitter(master),
         *(
-            Finding("node ids", f"two devices answer as node {node}", ok=False)
+            Finding(
+                "node ids",
+                f"two devices answer as node {node} → Give one of them another node id.",
+                ok=False,
+            )
             for node in master.doubled  # while SYNC was measured, too
         ),
     ]
@@ -203,8 +216,8 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     fault, disabled = state is State.FAULT, state in DISABLED
     yield Finding(
         "state",
-        ("fault: remove its cause and reset it" if fault else state.words)
-        + ("" if disabled else ": `robot-acquire disable` disables it"),
+        ("fault → Remove its cause, and reset the drive." if fault else state.words)
+        + ("" if disabled else " → Run `robot-acquire disable`."),
         ok=disabled and not fault,
         node=node,
         track=fault,
@@ -227,8 +240,8 @@ def _of_drive(master: Master, drive: Drive) -> Iterator[Finding]:
     ):
         yield Finding(name, text, node=node)
     if reason := supervision_refusal(master, drive):
-        text = f"{reason}: --track refuses without --unsupervised-drives"
-        yield Finding("supervision", text, ok=False, node=node, track=True)
+        text = f"{reason} → Change this, or pass --unsupervised-drives with --track."
+        yield Finding("monitoring", text, ok=False, node=node, track=True)
 
 
 def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
@@ -251,8 +264,8 @@ def _scale(master: Master, drive: Drive) -> list[tuple[str, str]]:
         values += [f"{name} {index:04X} {'/'.join(stated)}"] if stated else []
     counts = drive.position_codec.counts_per_unit
     text = (
-        f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that "
-        "they agree"
+        f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m → Check that "
+        "they agree."
     )
     return [("scale", ", ".join([*values, text]))] if values else []
 
@@ -264,11 +277,12 @@ def _jitter(master: Master) -> Finding:
     except BusFaultError as error:
         return Finding("SYNC", str(error), ok=False)
     even = jitter.off <= MAX_OFF_SHARE
-    rough = f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
+    limit = f" (more than {jitter.largest_s * 1e3 / DEVIATIONS:.3g} ms, too much for --track)"
     text = (
-        f"jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms of a period of "
-        f"{master.bus.file.sync_period_s * 1e3:g} ms{'' if jitter.fit_for_motion else rough}; "
-        f"{jitter.off:.1%} off by more than half a period"
+        f"jitter: standard deviation {jitter.sd_s * 1e3:.3f} ms"
+        f"{'' if jitter.fit_for_motion else limit}, largest {jitter.worst_s * 1e3:.3f} ms, period "
+        f"{master.bus.file.sync_period_s * 1e3:g} ms; {jitter.off:.1%} of the intervals deviate by "
+        "more than half a period"
     )
     return Finding("SYNC", text, ok=even and jitter.fit_for_motion, track=even)
 
@@ -277,14 +291,16 @@ def _positions(robot: Robot, master: Master) -> Iterator[Finding]:
     """Yield the reported joint positions, and whether the drives are homed."""
     try:
         words = ", ".join(position_words(robot, joint_positions(robot, master)))
-        yield Finding("joint positions", f"{words}: check that the robot stands there")
+        yield Finding("joint positions", f"{words} → Check that the robot is there.")
         for drive in master.bus.drives:
             homed = is_homed(master, drive)
             yield Finding(
                 "homed",
-                "not described: the drive's zero may be its position at power-on"
+                "not known; the drive's zero may be its position at power-on"
                 if homed is None
-                else f"{'yes' if homed else 'NO'} ({drive.file.homed})",
+                else f"yes ({drive.file.homed})"
+                if homed
+                else f"no ({drive.file.homed}) → Home the drive.",
                 ok=homed is not False,
                 node=drive.node,
                 track=True,

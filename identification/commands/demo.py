@@ -13,14 +13,20 @@ from .arguments import make_folder, print_results
 if TYPE_CHECKING:
     from acquisition.robot import Robot
 
-NEXT = (
-    "next, with your own robot:",
-    "describe it, or copy a robot.toml of replay_data: robot-identify init arm.urdf -o robot.toml",
-    "check drives and bus: robot-acquire check robot.toml",
-    "record; this moves the robot, so first --dry-run: robot-acquire record robot.toml -o "
-    "log.mcap --track ref.csv",
-    "or import: robot-acquire import log.csv --robot robot.toml",
-    "fit: robot-identify fit log.mcap --json fit.json --rrd fit.rrd",
+NEXT = (  # by number: what to do, and its commands
+    (
+        "1.",
+        "Describe it, or copy a robot.toml of replay_data:",
+        "robot-identify init arm.urdf -o robot.toml",
+    ),
+    ("2.", "Check drives and bus:", "robot-acquire check robot.toml"),
+    (
+        "3.",
+        "Record (moves the robot; try --dry-run first), or import a log:",
+        "robot-acquire record robot.toml -o log.mcap --track ref.csv",
+        "robot-acquire import log.csv --robot robot.toml",
+    ),
+    ("4.", "Fit:", "robot-identify fit log.mcap --json fit.json --report fit.html"),
 )
 
 
@@ -80,14 +86,15 @@ def _identify(options: argparse.Namespace) -> None:
         view.write_rrd(out / "demo.rrd", view.draw_fit(files["iv"], iv.recordings[0], true))
     compared = study.truth_document(robot.name, (ls, iv), true)
     of_ls, of_iv = (results.fit_document(file) for file in files.values())
+    steps = report.Section(title="Next, with your own robot", lines=NEXT)
     if options.all:
-        print_results(of_ls, of_iv, compared)
+        print_results(of_ls, of_iv, compared.followed_by(steps))
     else:  # the true values in place of the table of parameters
-        sections = tuple(
+        sections = (
             compared.sections[0] if s.title == results.PARAMETERS else s for s in of_iv.sections
         )
-        print_results(replace(of_iv, sections=sections), everything=False)
-    print_results(f"open the plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
+        print_results(replace(of_iv, sections=(*sections, steps)), everything=False)
+    print_results(f"Plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")
 
 
 def _identify_gains(options: argparse.Namespace) -> None:
@@ -109,7 +116,7 @@ def _identify_gains(options: argparse.Namespace) -> None:
         report.write_json(out / "k.json", results.fit_file(fit))
     print_results(
         study.gains_document(fit, true),
-        f"the whole fit: robot-identify fit {paths[0]} {paths[1]} --gains",
+        f"The whole fit: robot-identify fit {paths[0]} {paths[1]} --gains",
     )
 
 

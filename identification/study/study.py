@@ -360,13 +360,15 @@ def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Documen
             )
         )
         rows.append((name, Number(float(x), form), *cells))
-    headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
+    headings = (
+        heading for x in fits for heading in (x.method, "95 % half-width", "error, half-widths")
+    )
     section = Section(
-        title="compared with the simulated values",
+        title="Estimates compared with the true values",
         table=Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows)),
         lines=tuple(
             f"{fit.method}: {(np.abs(fit.beta - true) <= half).sum()} of {len(true)} true values "
-            f"inside ({0.95 * len(true):.0f} expected); total error "
+            f"lie inside their 95 % intervals ({0.95 * len(true):.0f} expected); total error "
             f"{100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true):.2f} %"
             for fit, half in zip(fits, halves, strict=True)
         ),
@@ -398,17 +400,25 @@ def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
         for form in [value_form(one.half_width / 2)]
     ]
     lines = (
-        f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
-        f"loaded: {fit.recordings[-1].signals.payload}",
+        f"{within} of {len(true)} true values lie inside their 95 % intervals. Verdict of the fit: "
+        f"{fit.trust.verdict}.",
+        f"Payload of {fit.recordings[-1].signals.recording}: {fit.recordings[-1].signals.payload}",
     )
     table = Table(
         columns=columns(
-            "motor", numbers=("catalogue", "true", "identified", "±95%", "error /\n±95%")
+            "motor",
+            numbers=(
+                "in robot.toml",
+                "true",
+                "identified",
+                "95 % half-width",
+                "error, half-widths",
+            ),
         )
         + columns("unit"),
         rows=tuple(rows),
     )
     return Document(
-        title=f"drive gains of {', '.join(one.signals.recording for one in fit.recordings)}",
+        title=f"Drive gains of {', '.join(one.signals.recording for one in fit.recordings)}",
         sections=(Section(table=table, lines=lines),),
     )

@@ -71,7 +71,7 @@ raise SystemExit(run_command("p", command))
             "bus: udp_multicast nowhere: the bus cannot be opened",
             [],
         ),
-        # no drive answers: no go, however little of it is read
+        # no drive answers: the check fails, however little of it is read
         ("ACQ check nobody.toml | true", 1, "", []),
     ],
 )

@@ -70,7 +70,7 @@ def test_demo_runs_from_bus_to_plot(capsys, tmp_path):
     out = capsys.readouterr().out
     assert "TX40: instrumental variables (IV), converged after " in out
     compare_with_readme(out)
-    assert int(out.split("iv: ")[1].split(" of 60 true values inside")[0]) >= 56
+    assert int(out.split("iv: ")[1].split(" of 60 true values lie inside")[0]) >= 56
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"
     }  # fmt: skip
@@ -104,7 +104,9 @@ def test_demo_finds_drive_gains(capsys, tmp_path, monkeypatch):
         assert gain["described"] == pytest.approx(stated)
         assert abs(gain["value"] - stated * factor) < 1.5 * gain["half_width"]
         assert gain["half_width"] < 0.02 * gain["value"]
-    assert re.search("[4-6] of 6 true values inside; verdict of the fit: trust", out)
+    assert re.search(
+        r"[4-6] of 6 true values lie inside their 95 % intervals\. Verdict of the fit: trust\.", out
+    )
     signals = [load_signals(tmp_path / f"{name}.mcap") for name in ("free", "loaded")]
     assert [one.payload for one in signals] == [None, PAYLOAD]
     assert signals[1].robot.gain.tolist() == list(CATALOGUE)  # recordings know no other

@@ -30,23 +30,23 @@ def test_equal_drives_share_row_and_silent_is_named():
     run.drives.silent.add(1)
     findings = check_drives(run, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
-    assert refusal(findings) == "no go: state of node 2"
+    assert refusal(findings) == "the check failed: state of node 2"
     run.drives.silent |= {0, 1, 2}
     findings = check_drives(run, run.drives.bus)
     (row,) = [line for line in table(findings) if "state" in line]
     assert "1, 2, 3" in row
-    assert refusal(findings).startswith("no go: no drive answers; without hardware:")
+    assert refusal(findings).startswith("the check failed: no drive answers. Without hardware,")
 
 
 def test_findings_for_track_only():
     even = Finding(subject="SYNC", found="", ok=False, track=True)
     drive = Finding(subject="state", found="\x1b[2J\n", ok=False, node=4)
-    assert refusal([even]) == "no go for --track: SYNC"
-    assert refusal([even, drive]) == "no go: SYNC, state of node 4"
-    assert verdicts([even]) == {"recording": "go", "motion": "no go: SYNC"}
+    assert refusal([even]) == "the check for --track failed: SYNC"
+    assert refusal([even, drive]) == "the check failed: SYNC, state of node 4"
+    assert verdicts([even]) == {"recording": "passed", "motion": "failed: SYNC"}
     assert verdicts([even, drive]) == {
-        "recording": "no go: state of node 4",
-        "motion": "no go: SYNC, state of node 4",
+        "recording": "failed: state of node 4",
+        "motion": "failed: SYNC, state of node 4",
     }
 
 
@@ -63,8 +63,10 @@ def test_fault_allows_recording_enabled_does_not(tmp_path, state):
         State.QUICK_STOP_ACTIVE,
         State.FAULT_REACTION_ACTIVE,
     )
-    assert said["recording"] == ("no go: state of node 2" if enabled else "go")
-    assert said["motion"] == ("no go: state of node 2" if enabled or state is State.FAULT else "go")
+    assert said["recording"] == ("failed: state of node 2" if enabled else "passed")
+    assert said["motion"] == (
+        "failed: state of node 2" if enabled or state is State.FAULT else "passed"
+    )
 
 
 WITHOUT_LIMIT = ("following_error_deg = 5\n", "")
@@ -74,12 +76,12 @@ WITHOUT_CONTROL = ("node = 1", 'rpdo = [{ objects = ["607A"] }]\nnode = 1')
 @pytest.mark.parametrize(
     ("change", "recording", "motion"),
     [
-        (("", ""), "go", "go"),
-        (WITHOUT_LIMIT, "go", "no go: limits"),
-        (WITHOUT_CONTROL, "go", "no go: PDOs"),
-        (("ratio = 50.0", "ratio = 50.0 # FILL IN"), "go", "no go: FILL IN"),
-        (("ratio = 50.0\n", ""), "go", "no go: ratio 607D 6080 of node 1"),
-        (("node = 1", 'node = 1\nmapping = "traffic"'), "no go: mapping", "no go: PDOs, mapping"),
+        (("", ""), "passed", "passed"),
+        (WITHOUT_LIMIT, "passed", "failed: limits"),
+        (WITHOUT_CONTROL, "passed", "failed: PDOs"),
+        (("ratio = 50.0", "ratio = 50.0 # FILL IN"), "passed", "failed: FILL IN"),
+        (("ratio = 50.0\n", ""), "passed", "failed: ratio 607D 6080 of node 1"),
+        (("node = 1", 'node = 1\nmapping = "traffic"'), "failed: mapping", "failed: PDOs, mapping"),
     ],
 )
 def test_missing_keys_of_robot_toml(tmp_path, capsys, monkeypatch, change, recording, motion):
@@ -88,9 +90,12 @@ def test_missing_keys_of_robot_toml(tmp_path, capsys, monkeypatch, change, recor
     text, robot = bus_text(1, channel="lacks"), tmp_path / "robot.toml"
     robot.write_text(text.replace(*change, 1))
     with served("lacks", 1):
-        assert main(["check", str(robot)]) == (motion != "go")
-    told = capsys.readouterr().out.splitlines()[-2:]
-    assert told == [f"recording: {recording}", f"motion: {motion}"]
+        assert main(["check", str(robot)]) == (motion != "passed")
+    told = capsys.readouterr().out.splitlines()
+    assert told[:3] == [f"Check for recording {recording}.", f"Check for motion {motion}.", ""]
+    assert ["FAILED" in line for line in told[3:]] == sorted(["FAILED" in x for x in told[3:]])[
+        ::-1
+    ]
 
 
 def test_drives_with_sdo_quirks_are_recorded(tmp_path, capsys, monkeypatch):
@@ -120,9 +125,9 @@ def test_drives_with_sdo_quirks_are_recorded(tmp_path, capsys, monkeypatch):
             log.finish(link.now_ns())
     assert {frame.data[0] for frame in sent} == {0x40}
     out = capsys.readouterr().out
-    assert re.search(r"^recording: (go|no go: SYNC)$", out, re.MULTILINE)
+    assert re.search(r"^Check for recording (passed|failed: SYNC)\.$", out, re.MULTILINE)
     refused = "heartbeat 1017 of node 1, interpolation period 60C2 of node 1"
-    assert re.search(f"^motion: no go: {refused}", out, re.MULTILINE)
+    assert re.search(f"^Check for motion failed: {refused}", out, re.MULTILINE)
     assert outcome.reason == "finished"
     why = "heartbeat 1017: 1017:0: object does not exist (0x06020000)"
     warned = [f"node {k} (motor_{k}): {why}: its heartbeat is not monitored" for k in (1, 2)]

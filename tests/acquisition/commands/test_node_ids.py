@@ -61,7 +61,9 @@ def test_unrequested_answer(name):
     link = Unasked(link=run, frames=list(frames))
     rows = findings(link, master.bus, "node ids")
     assert [(row.found, row.ok) for row in rows] == (
-        [(f"two devices answer as {said}", False)] if said else []
+        [(f"two devices answer as {said} → Give one of them another node id.", False)]
+        if said
+        else []
     )
     assert not link.frames
 

@@ -398,8 +398,8 @@ def test_scanned_file_is_no_go_until_filled_in(scanned, tmp_path, capsys):
         assert main(["check", str(robot)]) == 1
     out, err = capsys.readouterr()
     # On a busy machine SYNC is uneven, which forbids any session.
-    assert re.search("no go for --track: .*FILL IN|no go: .*FILL IN.*SYNC", err)
-    assert re.search(r"ok  rated value 6076:0 +1, 2 +420\n", out)
+    assert re.search("check for --track failed: .*FILL IN|check failed: .*FILL IN.*SYNC", err)
+    assert re.search(r"ok      rated value 6076:0 +1, 2 +420\n", out)
 
 
 def test_track_refuses_fill_in_marks(scanned, tmp_path, capsys, monkeypatch):

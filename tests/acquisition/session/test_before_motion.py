@@ -135,7 +135,7 @@ def test_unmonitored_drives_are_no_go_for_motion(values, missing, refused):
     )
     lacks = [f for f in findings(run, master.bus) if not f.ok]
     assert [(f.subject, f.node, f.track) for f in lacks] == (
-        [("supervision", 2, True)] if refused else []
+        [("monitoring", 2, True)] if refused else []
     )
 
 

@@ -232,8 +232,8 @@ def agreed(tmp_path, kind: type[Quirky], bus=None, robot=None) -> dict[str, str]
             tmp_path / f"{name}.mcap", task, robot=robot, bus=bus, drives=run.drives.bus,
             simulated=kind,
         )  # fmt: skip
-        assert (done.outcome.reason == "finished") == (said[name] == "go"), done.outcome.reason
-        if said[name] != "go":
+        assert (done.outcome.reason == "finished") == (said[name] == "passed"), done.outcome.reason
+        if said[name] != "passed":
             assert done.sent["can_id"].max(initial=0) <= 0x602
             assert set(done.sent["data"][:, 0].tolist()) == {0x40}  # nothing was written
             assert all(
@@ -243,8 +243,8 @@ def agreed(tmp_path, kind: type[Quirky], bus=None, robot=None) -> dict[str, str]
 
 
 def objects(verdict: str) -> list[str]:
-    names = verdict.removeprefix("no go: ").split(", ")
-    return [] if verdict == "go" else [name.removesuffix(" of node 2") for name in names]
+    names = verdict.removeprefix("failed: ").split(", ")
+    return [] if verdict == "passed" else [name.removesuffix(" of node 2") for name in names]
 
 
 @pytest.mark.parametrize("name", QUIRKS)
