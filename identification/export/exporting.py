@@ -145,10 +145,10 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         model, base, Known(beta=beta, covariance=covariance, reach=reach)
     )
     return np.array([p.value for p in parameters]), (
-        f"{place} is not physically consistent: the nearest consistent parameters are used; prior "
-        f"{c.prior}; increase of chi² {c.chi2:.3g} over {base.b} parameters, largest change "
-        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; Newton "
-        f"decrement {c.certificate:.1e}"
+        f"the parameters of {place} were adjusted to be physically consistent: largest change "
+        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase of "
+        f"chi² {c.chi2:.3g} over {base.b} parameters; prior {c.prior}; Newton decrement "
+        f"{c.certificate:.1e}"
     )
 
 

@@ -92,13 +92,16 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
     Raises
     ------
     BadInputError : the fit is in A or V or without description; the file is of another robot, or
-        has
-        no inertials.
+        gives no links.
     """
     refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
     values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
-    Location(str(prior)).require(values, "inertials", None, "those of the links")
+    Location(str(prior)).require(
+        values,
+        text="no link has all its inertial parameters",
+        advice="Give a URDF, or complete `[parameters]`",
+    )
     known = true_parameters(
         base, np.array([values.get(name, 0.0) for name in base.names])
     ).parameters

@@ -74,7 +74,7 @@ def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
         {"every term": not terms, "missing": found, "ok": True},
         value=first.t if terms else None,
         assumed=tuple(_assumed(every)),
-        coefficient=f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip(),
+        coefficient=f"{first.kind} {first.where} ({f'{first.value:.3g} {first.unit}'.rstrip()})",
         t=first.t,
         taken=first.taken_percent,
         more=len(found) > 1,

@@ -250,8 +250,8 @@ LAW = Words(
     "effort. "
     "Without a given control law, the estimated one is reported and simulated if it explains 98 % "
     "of the effort at every motor",
-    limit="`do not use`: all gains are negative. `caution`: a gain differs by 1 % more than its "
-    "interval, another structure fits better, or 5 % of the effort is left",
+    limit="`do not use`: all gains are negative. `caution`: a gain differs by more than its "
+    "half-width plus 1 %, another structure fits better, or 5 % of the effort is not explained",
     cases={
         "no reference": Case("skipped", "the recording has no reference"),
         "computed torque": Case("skipped", "computed torque depends on the robot's own model"),

@@ -60,12 +60,10 @@ SIGNS = Words(
     by=signs_and_order_test,
     of_data=True,
     advice="Correct columns and signs in `map.toml`, and import again.",
-    detects="Swapped efforts, and wrong signs of efforts or positions. Each such mistake is undone "
-    "in "
-    "turn if a torque error is more than 5 %, or if a motor absorbs power",
-    limit="`do not use`: undoing it leaves at most half of the torque error (95 % for the sign of "
-    "a "
-    "motor that absorbs power)",
+    detects="Swapped efforts, and wrong signs of efforts or positions. If a torque error is more "
+    "than 5 %, or a motor absorbs power, each such correction is tried in turn",
+    limit="`do not use`: a correction reduces the torque error to half or less (to 95 % or less, "
+    "if it is the sign of a motor that absorbs power)",
     cases={
         "mistake": Case(
             "do not use",

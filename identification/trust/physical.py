@@ -88,7 +88,7 @@ PHYSICAL = Words(
     "+ Fcm6 of the TX40); further friction terms by their power at recorded speeds",
     limit="`do not use`: a value is more than two half-widths below zero; or the parameters are "
     "far "
-    "from a physically consistent model and a second sign confirms this, such as a reversed "
+    "from a physically consistent model and a second indication confirms this, such as a reversed "
     "effort or a held-out error above 20 %. `caution`: M is less far below zero, or friction by "
     "more than 1.4 half-widths",
     cases={

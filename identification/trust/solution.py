@@ -71,9 +71,8 @@ POSITION_NOISE = Words(
     detects="Bias of least squares by position noise: noise with the spectrum seen above the "
     "low-pass is "
     "added, and the change of the estimate counts. A large bias is underestimated",
-    limit="`caution`: more than one half-width and 1 % of an essential parameter, or half of one "
-    "and "
-    "5 %",
+    limit="`caution`: the change of an essential parameter is above 1 % and one half-width, or "
+    "above 5 % and half a half-width",
     cases={
         "no noise": Case(
             "inconclusive", "{reason}", "Use --method iv, which needs a recorded reference."
@@ -111,8 +110,8 @@ INSTRUMENTS = Words(
     place=210,
     by=instruments_test,
     advice="Record faster motion, or describe the controller.",
-    detects="Instruments that hardly explain the regressor, or are the regressor itself",
-    limit="`caution`: first-stage F below 10. `inconclusive`: they are W itself",
+    detects="Instruments that hardly explain the regressor matrix, or are equal to it",
+    limit="`caution`: first-stage F below 10. `inconclusive`: they are equal",
     cases={
         "weak": Case(
             "caution",
@@ -121,7 +120,8 @@ INSTRUMENTS = Words(
         ),
         "regressor": Case(
             "inconclusive",
-            "the instruments are W itself, so this is least squares, with the same noise bias",
+            "the instruments are the regressor matrix itself, so this is least squares, with its "
+            "noise bias",
         ),
         "ok": Case("ok", "first-stage F = {value:.3g}"),
     },

@@ -335,7 +335,7 @@ def test_per_recording_parameters_exported(tmp_path):
 
     free, names = stored(fit), list(fit.estimate.names)
     assert (free.covariance.names, free.left_out) == (names, [])
-    assert "the nearest consistent parameters are used" in model_of_fit(free, "fit.json")[1][-1]
+    assert "adjusted to be physically consistent" in model_of_fit(free, "fit.json")[1][-1]
     a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
     assert [(row.name, row.off) for row in differences(a, b)] == [(name, 0.0) for name in names]
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}

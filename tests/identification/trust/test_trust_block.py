@@ -353,7 +353,7 @@ def test_coefficient_is_the_size_of_the_fault():
 def test_gravity_tilt_named_first():
     told = examined("wls", "tx40", fault="base tilt")[0].trust.line("missing terms")
     assert told.text.startswith("base tilt about x ")
-    assert abs(float(told.text.split()[4])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
+    assert abs(float(told.text.split()[4].strip("("))) == pytest.approx(np.deg2rad(3.0), rel=0.1)
 
 
 def test_relative_gain_named():
@@ -554,7 +554,7 @@ def test_instruments_are_weak_or_the_regressor():
     _, evidence = examined("iv", "scara")
     lines = [instruments_test(replace(evidence, first_stage_F=F)) for F in (5.0, 50.0, 4e16)]
     assert [line.level for line in lines] == ["caution", "ok", "inconclusive"]
-    assert "W itself" in lines[-1].text
+    assert "regressor matrix itself" in lines[-1].text
 
 
 def test_autoregression_found_despite_gaps():
