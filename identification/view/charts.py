@@ -48,12 +48,12 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
             (f"{'×' if any(p.sigma for p in x.parameters.values()) else '|'} {x.label}", color)
             for x, color in zip(others, COMPARED, strict=False)
         ),
-        *([("beyond 3 σ", VERMILLION)] if others else []),
+        *([("more than 3 standard errors", VERMILLION)] if others else []),
     ]
     return [
         Rows(
             path=("deviations", part[0]),
-            title=f"parameters of {own.label}, {part[0]} to {part[-1]}",
+            title=f"Parameters of {own.label}: {part[0]} to {part[-1]}",
             names=[(name, _look(own.parameters[name].essential)[0]) for name in part],
             columns=[
                 _width_column(own, part),
@@ -68,7 +68,7 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
 def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
     """Return the half-widths of the parameters in percent of their values."""
     return Column(
-        head="± 95 %, % of value",
+        head="95 % half-width, % of value",
         axis=logarithmic(0.01, 100.0, 4),
         marks=[
             Mark(
@@ -108,7 +108,7 @@ def _difference_column(
                     )
                 )
     return Column(
-        head=f"{' and '.join(x.label for x in others)} minus {own.label}, in ± 95 %",
+        head=f"{' and '.join(x.label for x in others)} minus {own.label}, half-widths",
         axis=Axis(
             low=-ends,
             high=ends,
@@ -150,11 +150,14 @@ def _trust_chart(line: TrustResult) -> Rows:
     ]
     return Rows(
         path=("tests", line.test),
-        title=f"{line.test}: {line.level}",
+        title=f"{line.test}: {'passed' if line.level == 'ok' else line.level}",
         names=[(name, LIGHT) for name, *_ in line.figures],
         columns=[Column(head=line.unit, axis=_around(marks), marks=marks)],
         legend=(
-            ("● value ± 95 %" if any(mark.half for mark in marks) else "● value", color),
+            (
+                "● value with 95 % interval" if any(mark.half for mark in marks) else "● value",
+                color,
+            ),
             ("| expected", GREEN),
         ),
     )
@@ -176,7 +179,7 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
     return [
         Rows(
             path=("intervals", part[0]),
-            title=f"expected ± 95 %, {part[0]} to {part[-1]}",
+            title=f"Expected 95 % half-width: {part[0]} to {part[-1]}",
             names=[(name, LIGHT) for name in part],
             columns=[
                 Column(
@@ -228,7 +231,7 @@ def _sensitivity_column(fits: Sequence[VariedFit], name: str) -> Column:
         ),
     ]
     return Column(
-        head=f"{name} ± 95 %",
+        head=f"{name}, 95 % interval",
         axis=_around(marks),
         marks=marks,
         lines=(found[0][2] - found[0][3], found[0][2] + found[0][3]),
@@ -256,7 +259,7 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
         for line in ((x, y), *zip(np.c_[x, x], np.c_[y - half, y + half], strict=True))
     ]
     curves = [
-        Curve(key=f"{k:03}", name=f"{label} ± 95 %", color=color, line=line, width=2.0)
+        Curve(key=f"{k:03}", name=f"{label}, 95 % interval", color=color, line=line, width=2.0)
         for k, (label, color, line) in enumerate(lines)
     ]
     known, described = fits[0].known
@@ -311,7 +314,7 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             ]
     return Rows(
         path=("study",),
-        title=f"total error of {len(runs)} runs, of the true values",
+        title=f"Total error of {len(runs)} runs, % of the true values",
         names=names,
         columns=[
             Column(
@@ -323,7 +326,7 @@ def study_chart(runs: Sequence[Run]) -> Rows:
         legend=(
             ("× LS", PURPLE),
             ("● IV converged", ORANGE),
-            ("○ IV not", GREY),
+            ("○ IV not converged", GREY),
             ("| median", LIGHT),
         ),
     )

@@ -77,10 +77,10 @@ def write_html(path: Path, picture: Picture) -> None:
             figures="\n".join(filter(None, map(_page, picture.pages))),
         ),
         "</details>",
-        "<footer><h2>made "
+        "<footer><h2>Made "
         f"with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
         *(
-            f"<p>{escape(one_line(name))}: sha256 <code>{code}</code></p>"
+            f"<p>{escape(one_line(name))}: SHA-256 <code>{code}</code></p>"
             for name, code in picture.sha256.items()
         ),
         "</footer></main></body></html>\n",

@@ -63,8 +63,8 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
         name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
         first=replace(
             torque[j],
-            title=f"torque of {signals.robot.joints[j].name}, which has the largest error "
-            f"[{signals.robot.effort_units[j]}]",
+            title=f"Torque of {signals.robot.joints[j].name} (largest relative error), "
+            f"{signals.robot.effort_units[j]} over time in s",
         ),
         document=document,
         pages=(

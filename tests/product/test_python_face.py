@@ -448,7 +448,7 @@ def test_stored_fit_has_short_repr():
     assert (len(shown) < 20_000, shown.count("<iframe")) == (True, 1)
     frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
     assert (page.open, frame.open) == ([], [])
-    assert any("parameters of " in text for text in frame.texts)
+    assert any("Parameters of " in text for text in frame.texts)
     assert {
         "0.688 %",
         "cross-validated",

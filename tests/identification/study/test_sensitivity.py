@@ -166,12 +166,12 @@ def test_mass_over_noise_plot_of_both_methods():
     assert chart.title == "M1 [kg] over position noise [µm rms]"
     drawn = {
         name: [[x.tolist() for x in c.line] for c in chart.curves if c.name == name]
-        for name in ("LS ± 95 %", "IV ± 95 %", "true")
+        for name in ("LS, 95 % interval", "IV, 95 % interval", "true")
     }
-    ls, *bars = drawn["LS ± 95 %"]
+    ls, *bars = drawn["LS, 95 % interval"]
     assert ls == [pytest.approx([0.0, 2.0, 10.0]), [10.0, 11.0, 14.0]], "by the size of the noise"
     assert [y for _, y in bars] == [[8.0, 12.0], [9.5, 12.5], [12.0, 16.0]]
-    assert drawn["IV ± 95 %"][0][1] == [10.5, 10.4, 10.25]
+    assert drawn["IV, 95 % interval"][0][1] == [10.5, 10.4, 10.25]
     assert drawn["true"] == [[pytest.approx([0.0, 10.0]), [10.25, 10.25]]]
     assert "true" not in {curve.name for curve in noise_chart([rules, strong]).curves}
     assert noise_chart([rules]) is None

@@ -97,7 +97,12 @@ def test_parameter_rows_have_intervals_differences():
     crosses = [(math.floor(m.row), m.value, m.half, m.color) for m in found(far, shape="cross")]
     assert crosses == [
         (0, pytest.approx(0.4 / 0.588), pytest.approx(1.0), PURPLE),
-        (1, pytest.approx(-8.0 / 0.196), pytest.approx(1.0), VERMILLION),  # beyond 3 sigma
+        (
+            1,
+            pytest.approx(-8.0 / 0.196),
+            pytest.approx(1.0),
+            VERMILLION,
+        ),  # more than 3 standard errors
     ]
     assert far.lines == (-1.0, 0.0, 1.0)
     exact = deviation_charts(true, [own])[0].columns[1]
@@ -117,7 +122,7 @@ def test_figures_of_tests_have_intervals():
     )
     made = TrustResult(test="outliers", level="ok", text="no outlier", value=-5.0)
     (of_lag,) = trust_charts([lag, made])
-    assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
+    assert of_lag.legend == (("● value with 95 % interval", ORANGE), ("| expected", GREEN))
     (of_blocks,) = trust_charts([msgspec.structs.replace(lag, figures=figures[1:])])
     assert of_blocks.legend[0] == ("● value", ORANGE), "without intervals none is named"
     assert of_lag.title == "delay: caution"

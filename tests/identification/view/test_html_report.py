@@ -100,7 +100,7 @@ def test_result_precedes_appendix(tmp_path):
     assert result.count("<tr>") == 1 + 10
     fit = iv_of(TX40)
     worst = max(fit.errors[:-1], key=lambda error: error.moving_relative_error_percent)
-    assert f"torque of {worst.name}, which has the largest error" in result
+    assert f"Torque of {worst.name} (largest relative error), N m over time in s" in result
     measured, model, rest = (curve.line[1] for curve in picture(TX40).first.curves)
     np.testing.assert_allclose(measured - model, rest)
     assert np.abs(rest).max() < 0.5 * np.abs(measured).max()
@@ -175,7 +175,7 @@ def test_commands_write_report(name, tmp_path, capsys, monkeypatch):
     assert page.all("svg")
     assert page.all("h1")
     if name == "sensitivity":
-        said = lines[0].startswith("log.mcap: LS changes by up to "), "ZZ1R ± 95 %" in text
+        said = lines[0].startswith("log.mcap: LS changes by up to "), "ZZ1R, 95 % interval" in text
         assert (*said, len(lines) <= 40) == (True, True, True)
 
 
