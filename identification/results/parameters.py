@@ -100,7 +100,7 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
     Location(str(prior)).require(
         values,
         text="no link has all its inertial parameters",
-        advice="Give a URDF, or complete `[parameters]`",
+        advice="Complete `inertial` of a URDF, or `[parameters]`",
     )
     known = true_parameters(
         base, np.array([values.get(name, 0.0) for name in base.names])

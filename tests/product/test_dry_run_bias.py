@@ -162,9 +162,9 @@ def test_one_demand_per_sync_is_a_note():
     fit, told = identify_ls(signals, Overrides()), "the torque demand value (6074) is read once"
     assert [note[: len(told)] for note in fit.notes] == [told]
     assert not [line for line in fit.warnings if "SYNC" in line]
-    verdict = fit_document(fit_file(fit)).sections[0]
-    for section in (verdict, verdict.short):
-        assert f"Note: {fit.notes[0]}" in section.lines
+    figures = fit_document(fit_file(fit)).sections[1]
+    for section in (figures, figures.short):
+        assert ("Note", fit.notes[0]) in section.lines
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()
 
 

@@ -297,7 +297,7 @@ def test_commands_refuse_invalid_payload_first(tmp_path, command, capsys):
     assert not out.exists()
     if command == "check":
         assert main([command, str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
-        assert "ok  payload" in capsys.readouterr().out
+        assert "ok      payload" in capsys.readouterr().out
 
 
 def test_real_session_has_payload(tmp_path):

@@ -191,7 +191,7 @@ def test_recordings_excite_half_each(tmp_path, capsys):
     ):
         assert one["held_out_error_percent"] is None
         assert names <= set(one["undetermined"])
-    assert "r1.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace(
+    assert "r1.mcap cannot be predicted from the others: " in capsys.readouterr().out.replace(
         "\n", " "
     )
 

@@ -218,7 +218,7 @@ def test_file_holds_model_inputs(tmp_path, capsys):
     )
     assert [p["name"] for p in standard] == list(model.names)
     assert c["prior"].startswith("prior.toml: ")
-    assert f"chi² {c['chi2']:.3g} over 8 parameters" in printed
+    assert f"chi² increases by {c['chi2']:.3g} over 8 parameters" in printed
     assert {p["name"] for p in content["left_out"] + content["parameters"]} == set(base)
     assert "robot.toml" in content["description"]
     assert [p.value for p in read_fit(out).standard_parameters] == [p["value"] for p in standard]

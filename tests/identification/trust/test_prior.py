@@ -197,11 +197,11 @@ def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
     model = InverseModel(recorded().robot)
     assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
-    assert "| value | 95 % half-width | relative % | a priori | unit |" in report.read_text()
+    assert "| value | 95 % half-width | relative % | unit | a priori |" in report.read_text()
     held = (
         f"{stored[key]:.3g} %" for key in ("held_out_error_percent", "prior_held_out_error_percent")
     )
-    shown = "Cross-validation: {} held out, [0-9.]+ % fitted, over the same rows; a priori links {}"
+    shown = "{} held out, [0-9.]+ % fitted, over the same rows; a priori links {}"
     assert re.search(shown.format(*held), report.read_text())
 
     arm.write_text(six_joints((2.0,) * 6))

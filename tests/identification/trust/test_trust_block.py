@@ -656,7 +656,7 @@ def test_real_axis_has_asymmetric_friction(emps):
     for fit in (iv_of(emps), ls_of(emps)):
         told = fit.trust.line("missing terms")
         assert fit.trust.verdict == "caution"
-        assert told.text.startswith("asymmetric friction of joint axis -1")
+        assert told.text.startswith("asymmetric friction of joint axis (-1")
         assert told.value < -15
         cautious = [x.test for x in fit.trust.lines if x.level == "caution"]
         assert cautious == ["missing terms"]
