@@ -220,7 +220,7 @@ def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     for text, words in (
         (six_joints().replace("elbow", "knee"), "elbow"),
         (six_joints().replace("0.3922", "0.4"), "moves differently"),
-        (six_joints((0,) * 6), "inertials"),
+        (six_joints((0,) * 6), "inertial parameters"),
     ):
         arm.write_text(text)
         assert words in refused(capsys, "compare", fit, arm)
