@@ -1,9 +1,8 @@
-"""Which motion to record and which friction terms to fit: exciting references, friction
-terms by cross-validation.
+"""Design of recordings and models: exciting references, and friction terms by cross-validation.
 
-It owns the criterion, the limits and the search of a reference, and the choice of friction terms.
-It may use fits and their rows, the model, the estimators, and `export` to change a description. It
-does not simulate.
+It owns the criterion, the limits and the search of a reference, and the selection of friction
+terms. It may use fits and their rows, the model, the estimators, and `export` to change a
+description. It does not simulate.
 """
 
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite

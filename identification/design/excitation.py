@@ -1,6 +1,4 @@
-"""Exciting references that make base parameters as identifiable as possible within
-limits, and their report.
-"""
+"""Exciting references within the limits of a robot, and their report."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -50,13 +48,16 @@ from .search import (
     random_within,
 )
 
-# random references, seeds from 0 on; the criterion is relative to their geometric mean
+# The criterion is relative to the geometric mean of these random references, so that parameters of
+# all units and sizes count equally. Their seeds begin at 0.
 PLAIN_REFERENCES = 20
-SAMPLE_POSES = 200  # to find links that are always near each other
-MAX_BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: the loop does not follow faster ones
+SAMPLE_POSES = 200  # to find links that are always close to each other
+# The position loop would not follow harmonics above this share of its bandwidth.
+MAX_BANDWIDTH_SHARE = 1 / 3
 CREEP_SHARE = 0.05  # of a joint's speed limit
-MIN_HARMONICS = 2  # zero speed and acceleration at the ends leave nothing of a single one
-CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
+# A single harmonic cannot have zero speed and zero acceleration at the ends of the period.
+MIN_HARMONICS = 2
+CURVE_SAMPLES = 100  # per period of the highest harmonic, in plots
 
 
 class ExcitationSettings(ReferenceOptions):
@@ -110,17 +111,17 @@ class Excitation:
 
     @property
     def robot(self) -> Robot:
-        """The robot that the reference is for."""
+        """Robot of the reference."""
         return self.limits.robot
 
     @property
     def half(self) -> Array:
-        """Half-widths of the expected 95 % intervals, (b,)."""
+        """Expected half-widths of the 95 % intervals, shape (b,)."""
         return NORMAL_QUANTILE * self.sigma
 
     @property
     def plain_half(self) -> Array:
-        """Half-widths of the expected 95 % intervals of the plain references, (b,)."""
+        """Expected half-widths of the 95 % intervals with plain references, shape (b,)."""
         return NORMAL_QUANTILE * self.plain
 
     def curves(self) -> tuple[Array, Array, Array, Array | None]:
@@ -150,7 +151,8 @@ class Excitation:
         path : file to write.
         """
         s = self.settings
-        steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
+        # The session interpolates by splines, which need many samples per harmonic.
+        steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))
         t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
         write_columns(
             path,
@@ -192,14 +194,15 @@ def excite(
     model = InverseModel(robot)
     every = base_parameters(model)
     loads = loads_of(model, every, knowledge, place)
-    # The columns of load friction depend on the parameters: limits count its torque, the
-    # criterion leaves it out.
+    # The columns of load-dependent friction depend on the parameters, so the criterion leaves it
+    # out. The limits count its torque.
     mus = load_parameters(every)
     base = every.without(mus)
     obstacles = _obstacles(model, knowledge)
     limits = limits_of(robot, loads, settings.limits_percent / 100, place)
     _refuse_rest(limits, place)
-    # Compare with plain references, whose torque also gives the noise if it is unknown.
+    # Plain references make the criterion relative. Their torque also gives the noise if no other
+    # value is known.
     plain = _plain_motions(limits, settings)
     noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
     information = Information(
@@ -217,7 +220,8 @@ def excite(
         plain=np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0)),
         obstacles=obstacles if obstacles.names else None,
     )
-    # Judge the best between the samples of the search too.
+    # A series may exceed a limit between the samples of the search, so the result is checked at
+    # more samples.
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     fine = motion_of(x, problem.finer)
     excitation = Excitation(
@@ -253,7 +257,7 @@ def excite(
 
 
 def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
-    """Return pairs of links to be kept apart, without those that are always near each other."""
+    """Return pairs of links to be kept apart, without those that are always close to each other."""
     low, high = np.array([joint.si("position") or (0.0, 0.0) for joint in model.robot.joints]).T
     return obstacles_of(
         model,
@@ -264,7 +268,7 @@ def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:
 
 
 def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]:
-    """Return motions of random references of the usual number of harmonics within the limits."""
+    """Return motions of random references within the limits, with the usual number of harmonics."""
     harmonics, samples = settings.harmonics, SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
     series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, harmonics))
@@ -272,7 +276,7 @@ def _plain_motions(limits: Limits, settings: ExcitationSettings) -> list[Motion]
 
 
 def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
-    """Refuse harmonics near the bandwidth: the loop does not follow them."""
+    """Refuse harmonics near the bandwidth, which the position loops would not follow."""
     highest_hz, max_hz = (
         settings.harmonics / settings.period_s,
         MAX_BANDWIDTH_SHARE * robot.bandwidth_hz,
@@ -308,9 +312,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Iterator[str]:
-    """Return warnings on torques and distances that were not checked.
+    """Yield warnings about torques and distances that were not checked.
 
-    `mus`: load-dependent friction, which the criterion leaves out.
+    `mus` are the parameters of load-dependent friction, which the criterion leaves out.
     """
     if obstacles.missing:
         yield (
@@ -385,7 +389,7 @@ def _interval_section(e: Excitation) -> Section:
     )
     gains = [
         f"{motor.name} {percent:.2g} %" if percent < 100 else f"{motor.name} not identifiable"
-        for motor, percent in zip(e.robot.motors, e.gains, strict=False)  # none without a payload
+        for motor, percent in zip(e.robot.motors, e.gains, strict=False)  # empty without a payload
     ]
     lines = (
         f"ratio of intervals, plain to this reference: median {np.median(smaller):.2f}, smallest "

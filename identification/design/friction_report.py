@@ -1,4 +1,4 @@
-"""Report and JSON file of a choice of friction terms, and its lines in a description."""
+"""Report and JSON file of a selection of friction terms, and its lines in a description."""
 
 import json
 from pathlib import Path
@@ -13,10 +13,14 @@ from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described
 
 
 def friction_file(choice: TermChoice) -> dict[str, Any]:
-    """Make the JSON file of `friction`: all sets, best first, and the selected terms by joint.
+    """Make the content of the JSON file: all sets, best first, and the selected terms by joint.
 
     `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the
     parts of `held_out_percents`. An error that does not exist is null.
+
+    Parameters
+    ----------
+    choice : the sets that were tried, and the selected one.
     """
     each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
     return {
@@ -44,8 +48,11 @@ def friction_file(choice: TermChoice) -> dict[str, Any]:
 
 
 def friction_document(choice: TermChoice) -> Document:
-    """Make the report of the sets that were tried, best first, with the lines of robot.toml for the
-    selected one.
+    """Make the report of the sets that were tried, with the selected lines of robot.toml.
+
+    Parameters
+    ----------
+    choice : the sets that were tried, and the selected one.
     """
     usual, chosen = choice.usual, choice.recommended
     errors = f"held-out torque error {usual.held_out_error_percent:.2f} % with the usual terms" + (
@@ -72,7 +79,7 @@ def friction_document(choice: TermChoice) -> Document:
             for trial in choice.trials
         ),
     )
-    # in the order given
+    # In the order given, without the recordings that could not be predicted.
     names = [one.recording for one in choice.recordings if one.recording in choice.held_out]
     return Document(
         title=f"{choice.robot.name}: {errors}",
@@ -100,8 +107,9 @@ def friction_document(choice: TermChoice) -> Document:
 
 
 def set_text(robot: Robot, terms: TermSet) -> str:
-    """Return a set in words, such as `root; load: joint_3`; without a joint's name, all joints have
-    the term.
+    """Return a set in words, such as `root; load: joint_3`.
+
+    A term without joints belongs to all joints that can have it.
     """
     parts = []
     for term in CANDIDATES:
@@ -115,8 +123,14 @@ def set_text(robot: Robot, terms: TermSet) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the selected terms into the description at `path`, that of the choice; lines without use
-    become comments.
+    """Write the selected terms into the description that the selection used.
+
+    Lines of other friction terms become comments.
+
+    Parameters
+    ----------
+    path : file of the description.
+    choice : the sets that were tried, and the selected one.
     """
     values: dict[str, dict[str, Any]] = {
         joint.name: {

@@ -1,8 +1,8 @@
 """Prior information about a robot, and the information of a motion about its base parameters.
 
-The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the deviations
-of the parameters are sigma = sqrt(diag(inv(M))). The A-optimal criterion is log(mean((sigma / sigma
-of a plain reference)²)).
+The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the standard
+errors of the parameters are sigma = sqrt(diag(inv(M))). The A-optimal criterion is the logarithm of
+the mean square of sigma / sigma of a plain reference.
 """
 
 from collections.abc import Sequence
@@ -22,27 +22,27 @@ from ..arrays import Array
 from ..data import Signals, load_signals
 from .limits import Motion
 
-NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown
-NORMAL_QUANTILE = 1.959964  # deviations to each side of a 95 % interval
-RANK_SHARE = 1e-9  # of the largest: a smaller singular value is zero
-SAMPLE_RATE_HZ = 1000.0  # of a recording, if none is stated
+NOISE_SHARE = 0.02  # noise over the rms torque of a joint, if the noise is unknown
+NORMAL_QUANTILE = 1.959964  # standard errors to each side of a 95 % interval
+RANK_SHARE = 1e-9  # singular values below this share of the largest are zero
+SAMPLE_RATE_HZ = 1000.0  # of a recording, if the description gives no rate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PriorInformation:
-    """Knowledge about the robot before the motion.
+    """What is known about the robot before the motion.
 
     Attributes:
-        beta: (b,) base parameters for the torque; None if unknown.
-        beta_from: their origin, in words.
-        noise: (n,) given standard deviation of the torque, or None.
-        noise_share: (n,) standard deviation in a fit's rows over the rms torque; None without a
-            fit.
-        payload: that a second recording of the motion will carry, to identify drive gains; None:
-            none.
-        recordings: earlier ones, whose information is added.
-        folder: of the description, searched first for meshes of its URDF.
-        warnings: about the fit.
+        beta: base parameters for the torque, shape (b,); None if unknown.
+        beta_from: origin of `beta`, in words.
+        noise: given standard deviation of the torque in a row of the fit, shape (n,), N m or N;
+            None if it is not given.
+        noise_share: standard deviation in a row of an earlier fit over the rms torque, shape (n,);
+            None without a fit.
+        payload: payload of a second recording of the motion, to identify drive gains, or None.
+        recordings: earlier recordings, whose information is added.
+        folder: folder of the description, which is searched first for the meshes of its URDF.
+        warnings: warnings about the fit.
     """
 
     beta: Array | None = None
@@ -64,8 +64,27 @@ def prior_information(
     after: Sequence[Path] = (),
     payload: Payload | None = None,
 ) -> PriorInformation:
-    """Collect information from files and options: a fit's parameters, else those of the
-    description.
+    """Collect what is known about the robot from files and arguments.
+
+    The parameters are those of the fit, or else those of the description.
+
+    Parameters
+    ----------
+    robot : the robot.
+    folder : folder of its description, for the meshes of its URDF.
+    fit : JSON file of a fit, for parameters and noise.
+    noise : standard deviation of the torque in a row of the fit, N m or N; one value, or one per
+        joint.
+    after : earlier recordings, whose information is added.
+    payload : payload of a second recording of the motion, to identify drive gains.
+
+    Returns
+    -------
+    The prior information.
+
+    Raises
+    ------
+    BadInputError : a file cannot be read, or `noise` has another number of values.
     """
     Location("").require(
         noise is None or len(noise) in (1, robot.n),
@@ -118,9 +137,13 @@ def loads_of(
     knowledge: PriorInformation,
     place: str,
 ) -> tuple[dynamics.DirectModel, ...]:
-    """Return the robot with its parameters, then the same with the payload, which needs them.
+    """Return the direct model without a payload and, if there is one, with it.
 
-    The result is empty without parameters.
+    The tuple is empty if the parameters are unknown.
+
+    Raises
+    ------
+    BadInputError : there is a payload, but parameters or drive gains are unknown.
     """
     payload = knowledge.payload
     Location(place).require(
@@ -144,12 +167,22 @@ def torque_noise(
     knowledge: PriorInformation,
     motions: Sequence[Motion],
 ) -> tuple[Array, str]:
-    """Return the standard deviation (n,) of each joint's torque in a row of the fit, and its origin
-    in words.
+    """Return the standard deviation of the torque noise in a row of the fit.
 
-    It is the given one; else the error of a fit in percent of the torque along `motions`, larger
-    where rows are correlated; else a share of that torque; else 1 for each joint, if no parameters
-    are known.
+    It is the first of these that is known: the given one; the relative error of an earlier fit
+    times the rms torque along `motions`, larger for correlated rows; a share of this rms torque.
+    Without parameters it is 1 N m or N.
+
+    Parameters
+    ----------
+    robot : the robot.
+    model : direct model of the robot; None if its parameters are unknown.
+    knowledge : prior information.
+    motions : plain motions, for the rms torque.
+
+    Returns
+    -------
+    The standard deviation, shape (n,), N m or N, and its origin in words.
     """
     if knowledge.noise is not None:
         return knowledge.noise, "as given"
@@ -168,7 +201,7 @@ def torque_noise(
 
 
 def rows_per_s(robot: Robot) -> float:
-    """Return the rows per second of a fit, by the decimation rule."""
+    """Return the number of rows per second of a fit, by the decimation rule."""
     rate_hz = (
         1 / robot.bus.sync_period_s
         if robot.bus is not None
@@ -180,9 +213,21 @@ def rows_per_s(robot: Robot) -> float:
 def earlier_information(
     base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]
 ) -> Array:
-    """Return the sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot.
+    """Return the information of earlier recordings about the base parameters.
 
-    `base` has no load-dependent friction.
+    Parameters
+    ----------
+    base : base parameters, without load-dependent friction.
+    noise : standard deviation of the torque in a row of the fit, shape (n,), N m or N.
+    recordings : the recordings.
+
+    Returns
+    -------
+    The sum of W'W / s² over all rows, shape (b, b).
+
+    Raises
+    ------
+    BadInputError : a recording has other base parameters.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
@@ -207,15 +252,15 @@ class Information:
     """The information of motions about the base parameters.
 
     Attributes:
-        model, base: the inverse dynamic model, its base parameters.
-        noise: (n,) standard deviation of each joint's torque in a row of the fit, in the unit of
-            its
+        model: inverse dynamic model.
+        base: base parameters.
+        noise: standard deviation of the torque in a row of the fit, shape (n,), in the unit of the
             effort.
-        rows: of the fit in the whole recording, whatever the number of samples of a motion.
-        earlier: (b, b) information of earlier recordings, which is added.
-        creep: (n,) speeds of the smooth sign u / sqrt(u² + creep²) of friction in the criterion: a
-            jump
-            has no gradient, and a fit leaves out rows of low speed.
+        rows: number of rows of the fit per joint in the whole recording, whatever the number of
+            samples of a motion.
+        earlier: information of earlier recordings, shape (b, b), which is added.
+        creep: speeds of the smooth sign u / sqrt(u² + creep²) that replaces the sign of friction,
+            shape (n,), because a step has no gradient and a fit has no rows at low speed.
     """
 
     model: dynamics.InverseModel
@@ -226,12 +271,26 @@ class Information:
     creep: Array
 
     def sigma(self, motion: Motion) -> Array:
-        """Return standard errors (b,) of the parameters after a motion q, dq, ddq (N, n)."""
+        """Return the standard errors of the parameters after a motion, shape (b,).
+
+        Parameters
+        ----------
+        motion : positions, speeds and accelerations, shape (N, n) each.
+        """
         return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
-        """Return the criterion relative to the standard errors `plain` (b,), and its gradients (N,
-        n) by q, dq and ddq.
+        """Return the criterion of a motion and its gradients.
+
+        Parameters
+        ----------
+        motion : positions, speeds and accelerations, shape (N, n) each.
+        plain : standard errors of the plain references, shape (b,).
+
+        Returns
+        -------
+        log(mean((sigma / plain)²)), and its gradients by positions, speeds and accelerations, shape
+        (N, n) each.
         """
         W, slopes = self._regressor(motion), []
         for c, term in self._sliding:
@@ -240,7 +299,8 @@ class Information:
             slopes.append(slope)
         C, D = _inverse(self._information(W)), 1 / plain**2
         total = float(D @ np.diag(C))
-        # total = tr(D C), so d total = -tr(P dM) with P = C D C, and dM = 2 W'dW / s².
+        # Since total = tr(D C) and C is the inverse of M, d total = -tr(C D C dM) with
+        # dM = 2 W'dW / s². This gives the gradient G by the elements of W.
         G = -2 / total * self.rows / len(W) * (W / self.noise[:, None] ** 2) @ ((C * D) @ C)
         by_q, by_dq, by_ddq = dynamics.regressor_gradient(self.model, self.base, motion, G)
         for (c, term), slope in zip(self._sliding, slopes, strict=True):
@@ -250,11 +310,17 @@ class Information:
     def gain_deviations(
         self, motion: Motion, loads: Sequence[dynamics.DirectModel], payload: Payload
     ) -> Array:
-        """Return relative standard errors (n,) of all drive gains, from runs of the motion without
-        and with the payload.
+        """Return the relative standard errors of all drive gains, shape (n,).
 
-        X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L
-        of what is not given of the payload. Earlier recordings do not count.
+        The motion is run without and with the payload. X = [W L -E] has the rows of both runs: E
+        the torques of the motors for each of the two `loads`, L the columns of what is not given of
+        the payload. Earlier recordings do not count.
+
+        Parameters
+        ----------
+        motion : positions, speeds and accelerations, shape (N, n) each.
+        loads : direct models without and with the payload.
+        payload : the payload.
         """
         moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
         stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())
@@ -273,7 +339,7 @@ class Information:
         E = np.concatenate(
             [(x[:, None] * R.T / self.noise[:, None]).reshape(-1, len(R)) for x in of_motors]
         )
-        # a row for each stated moment
+        # A given moment with a half-width counts like a measurement, that is, as one more row.
         if payload.center_of_mass_m is not None and half_m and payload.mass_kg:
             at = [self.base.b + k for k, (_, name) in enumerate(columns) if name in moments]
             known = np.eye(others.shape[1])[at] * NORMAL_QUANTILE / (half_m * payload.mass_kg)
@@ -287,7 +353,7 @@ class Information:
         return np.asarray(np.linalg.norm(V, axis=0) * np.sqrt(len(motion[0]) / self.rows))
 
     def _regressor(self, motion: Motion) -> Array:
-        """Return W (N, n, b)."""
+        """Return W, shape (N, n, b)."""
         return self.model.regressor(*motion, self.base.columns)
 
     def _information(self, W: Array) -> Array:
@@ -296,7 +362,7 @@ class Information:
 
     @cached_property
     def _sliding(self) -> list[tuple[int, dynamics.JointTerm]]:
-        """Columns and terms of friction with the sign of a speed."""
+        """Columns of the friction terms that have the sign of a speed, and these terms."""
         return [
             (c, term)
             for c, column in enumerate(self.base.columns)
@@ -305,7 +371,7 @@ class Information:
 
 
 def _inverse(M: Array) -> Array:
-    """Return the inverse of a positive definite matrix, first scaled to a diagonal of ones."""
+    """Return the inverse of a positive definite matrix, scaled to a diagonal of ones before."""
     with np.errstate(divide="ignore", invalid="ignore"):
         d = 1 / np.sqrt(np.diag(M))
         scaled = M * d[:, None] * d

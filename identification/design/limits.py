@@ -1,5 +1,5 @@
-"""Motions as Fourier series from rest to rest, and their limits: position,
-speed, acceleration, effort.
+"""Motions as Fourier series from rest to rest, and limits of position, speed, acceleration and
+effort.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,14 @@ Motion = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """Periodic Fourier series whose speed and acceleration are zero at the ends of the period.
+    """Fourier series whose speed and acceleration are zero at the ends of the period.
 
-    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those in a basis of
-    the null space of both conditions. A motion of n joints is x (n, K).
+    The series of a joint has K = 2 H - 1 coefficients: its position at the ends, and coordinates in
+    the null spaces of both conditions. The coefficients of n joints are x, shape (n, K).
+
+    Attributes:
+        period_s: period, s.
+        harmonics: number H of harmonics.
     """
 
     period_s: float
@@ -34,12 +38,13 @@ class Series:
 
     @cached_property
     def _null_spaces(self) -> tuple[Array, Array]:
-        """Null spaces, (H, H - 1) each: sine coefficients with zero speed, cosine coefficients with
-        zero acceleration at the ends.
+        """Bases of sine coefficients without speed and cosine coefficients without acceleration.
+
+        Both conditions hold at the ends of the period; each basis has the shape (H, H - 1).
         """
         k = np.arange(1, self.harmonics + 1, dtype=float)
-        # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the
-        # acceleration sum(k s). The columns of a basis are orthogonal to v.
+        # With coefficients s/k, harmonics of equal s have equal speeds. At the ends the speed is
+        # then sum(s) and the acceleration sum(k s), so a basis has columns orthogonal to v.
         sine, cosine = (
             np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] / k[:, None]
             for v in (np.ones_like(k), k)
@@ -47,7 +52,7 @@ class Series:
         return sine, cosine
 
     def reference(self, x: Array) -> FourierReference:
-        """Return the series with the coefficients x (n, K)."""
+        """Return the series of the coefficients x, shape (n, K)."""
         sine, cosine = self._null_spaces
         return FourierReference(
             period_s=self.period_s,
@@ -57,7 +62,7 @@ class Series:
         )
 
     def coefficients(self, reference: FourierReference) -> Array:
-        """Return x (n, K) of a reference that is such a series."""
+        """Return the coefficients of a reference that is such a series, shape (n, K)."""
         sine, cosine = (np.linalg.pinv(basis) for basis in self._null_spaces)
         return np.concatenate(
             [reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T],
@@ -65,10 +70,17 @@ class Series:
         )
 
     def basis(self, samples: int) -> Motion:
-        """Return matrices (N, K) of position, speed and acceleration at N instants from the start
-        of a period.
+        """Return the basis of the series at equidistant samples of one period.
 
             q_j = A x_j
+
+        Parameters
+        ----------
+        samples : number N of samples.
+
+        Returns
+        -------
+        The matrices A of positions, speeds and accelerations, shape (N, K) each.
         """
         return self.reference(np.eye(2 * self.harmonics - 1)).at(
             np.arange(samples, dtype=np.float64) * (self.period_s / samples)
@@ -76,28 +88,38 @@ class Series:
 
 
 def motion_of(x: Array, basis: Motion) -> Motion:
-    """Return q, dq, ddq (N, n) of the coefficients x (n, K)."""
+    """Return the motion of a series.
+
+    Parameters
+    ----------
+    x : coefficients, shape (n, K).
+    basis : basis of the series at N samples, shape (N, K) each.
+
+    Returns
+    -------
+    Positions, speeds and accelerations, shape (N, n) each.
+    """
     return basis[0] @ x.T, basis[1] @ x.T, basis[2] @ x.T
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """Limits of a robot's motion; a share of 1 or -1 is all that may be used of a limit.
+    """Limits of the motion of a robot. A share of 1 or -1 is the whole usable part of a limit.
 
-    Friction with the sign of a speed (load-dependent friction too) counts at full size against the
-    motion: valid for both signs of a speed, without jumps.
+    Friction that has the sign of a speed, load-dependent friction included, counts at its full size
+    against the motion. This is valid for both signs of the speed, and has no steps.
 
     Attributes:
-        middle: (n,) of the joints' ranges.
-        maximum: (3, n) half the range, the speed, the acceleration, each times the share that may
-            be
-            used.
-        models: with the parameters for the torque, one for each load that the robot carries; empty
-            if
+        robot: the robot.
+        middle: middle of the position ranges, shape (n,).
+        maximum: half the position range, the speed and the acceleration, each times `share`, shape
+            (3, n).
+        models: direct models for the torque, one per load of the robot; empty if the parameters are
             unknown.
-        coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of
-            speed.
-        share: that may be used of all limits.
+        effort: limits of the efforts.
+        coulomb: largest part of each effort that friction with the sign of a speed takes, shape
+            (m,): Coulomb, Stribeck and square-root friction.
+        share: usable share of all limits.
     """
 
     robot: Robot
@@ -110,17 +132,19 @@ class Limits:
 
     @property
     def model(self) -> DirectModel | None:
-        """Model of the robot without load; None if its parameters are unknown."""
+        """Direct model without a payload; None if the parameters are unknown."""
         return next(iter(self.models), None)
 
     @property
     def allowed(self) -> Array:
-        """Effort limits less Coulomb friction, (m,)."""
+        """Usable effort limits minus `coulomb`, shape (m,)."""
         return self.share * self.effort.limits - self.coulomb
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The limited quantities, (L,): position, speed and acceleration of each joint, efforts by
+        """Names of the limited quantities, shape (L,).
+
+        The order is: positions, speeds and accelerations of all joints, then the efforts for each
         load.
         """
         return (
@@ -133,13 +157,14 @@ class Limits:
         )
 
     def largest(self, motion: Motion) -> tuple[float, str]:
-        """Return the largest share used of a limit, and its name."""
+        """Return the largest share of any limit that a motion uses, and the name of this limit."""
         used = np.abs(self.shares(motion)).max(axis=0)
         return float(used.max()), self.names[int(used.argmax())]
 
     def share_of_whole(self, motion: Motion) -> Array:
-        """Return the largest share (L,) that a motion uses of each whole limit, with Coulomb
-        friction.
+        """Return the largest share that a motion uses of each whole limit, shape (L,).
+
+        It includes the friction of `coulomb`.
         """
         n, used = self.robot.n, np.abs(self.shares(motion)).max(axis=0)
         by_load = used[3 * n :].reshape(len(self.models), len(self.effort.limits))
@@ -147,8 +172,16 @@ class Limits:
         return np.concatenate([self.share * used[: 3 * n], efforts.ravel()])
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q,
-        dq and ddq.
+        """Return the shares of all limits and the derivatives of those of efforts.
+
+        Parameters
+        ----------
+        motion : positions, speeds and accelerations, shape (N, n) each.
+
+        Returns
+        -------
+        The shares, shape (N, L), and the derivatives of the m shares of efforts by positions,
+        speeds and accelerations, shape (3, N, m, n).
         """
         scaled = self.effort.directions / self.allowed[:, None]
         slopes = [np.zeros((3, len(motion[0]), 0, self.robot.n))]
@@ -162,7 +195,12 @@ class Limits:
         return self.shares(motion), np.concatenate(slopes, axis=2)
 
     def shares(self, motion: Motion) -> Array:
-        """Return shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
+        """Return the signed shares of all limits along a motion, shape (N, L).
+
+        Parameters
+        ----------
+        motion : positions, speeds and accelerations, shape (N, n) each.
+        """
         q, dq, ddq = motion
         parts = [(q - self.middle) / self.maximum[0], dq / self.maximum[1], ddq / self.maximum[2]]
         scaled = self.effort.directions / self.allowed[:, None]
@@ -174,8 +212,17 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: Ints) -> Array:
-        """Return derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients,
-        of its basis and their slopes.
+        """Return the derivatives of shares by the coefficients of a series.
+
+        Parameters
+        ----------
+        slopes : derivatives of the shares of efforts, shape (3, N, m, n).
+        basis : basis of the series, shape (N, K) each.
+        at : samples of the shares, shape (B, L).
+
+        Returns
+        -------
+        The derivatives, shape (B L, n K).
         """
         n, K = self.robot.n, basis[0].shape[1]
         efforts, J = at[:, 3 * n :], np.zeros((*at.shape, n, K))
@@ -188,20 +235,28 @@ class Limits:
 
 
 def _sides(shares: Array) -> Array:
-    """Return the sign, 1 or -1, of load-dependent friction that enlarges the shares of efforts."""
+    """Return the sign, 1 or -1, with which load-dependent friction enlarges the shares."""
     return np.where(shares < 0, -1.0, 1.0)
 
 
 def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
-    """Return the limits of a robot, of which a reference may use a `share` in (0, 1].
+    """Return the limits of a robot.
 
-    The torque is limited by each of the `models`, with the same friction. `place` names the
-    description in errors.
+    Parameters
+    ----------
+    robot : the robot.
+    models : direct models for the torque, one per load, with the same friction.
+    share : share of each limit that a reference may use, greater than 0 and at most 1.
+    place : name of the description in errors.
+
+    Returns
+    -------
+    The limits.
 
     Raises
     ------
-    BadInputError : a joint has no limit, or friction alone needs more than a joint's or motor's
-        effort.
+    BadInputError : a joint has no limit, or friction alone takes the usable effort of a joint or
+        motor.
     """
     for (i, joint), (kind, tail) in product(
         enumerate(robot.joints), zip(KINDS, ("", "_s", "_s2"), strict=True)
@@ -215,6 +270,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
+    # All loads have the same friction, so the first model is enough.
     for model in models[:1]:
         sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(
             np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])

@@ -20,32 +20,39 @@ from .information import Information
 from .limits import Limits, Motion, Series, motion_of
 
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
-SAMPLES_PER_WINDOW = 3  # samples, of which a search constrains the largest share
-CHECKS_PER_SAMPLE = 10  # times as many samples check the motion between those of the search
-# A sum of harmonics is above its largest sample by (pi / samples of a period of the highest)² / 2
-# at most (Bernstein).
+# One constraint per window of samples, on its largest share, is enough and three times faster.
+SAMPLES_PER_WINDOW = 3
+CHECKS_PER_SAMPLE = 10  # samples that check the result, per sample of the search
+# By Bernstein's inequality a sum of harmonics exceeds its largest sample by at most the share
+# (pi / samples per period of the highest harmonic)² / 2.
 MAX_SHARE = 1 - (math.pi / (CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD)) ** 2 / 2
-STARTS = 3  # from random references of other seeds
-FIRST_SEED = 20  # of these: smaller ones are those of plain references
-MAX_DEVIATION_RATIO = 1 / 0.95  # of a parameter's deviation over that of the plain reference
-START_SHARE = 0.9  # of the limits, in which a search starts
-MARGIN_M = 0.02  # smallest distance of links from each other and from the ground
-START_POSES = 200  # of which a search starts at the one with most distance
+STARTS = 3  # searches, each from a random reference of its own seed
+FIRST_SEED = 20  # of the starts, because smaller seeds are those of the plain references
+# No parameter should become clearly worse than with a plain reference.
+MAX_DEVIATION_RATIO = 1 / 0.95
+START_SHARE = 0.9  # of the limits, at the start of a search
+MARGIN_M = 0.02  # smallest distance of links from each other and from the ground, m
+START_POSES = 200  # random poses, of which a search starts at the one with the largest distance
 MAX_ITERATIONS = 50  # of a search
-# more iterations, with limits tightened by what is exceeded between samples
+# These iterations follow, with limits tightened by how much the motion rises between samples.
 POLISHING_ITERATIONS = 10
-MIN_TIGHTENED_SHARE = 0.5  # smaller shares are not checked between the samples
+MIN_TIGHTENED_SHARE = 0.5  # smaller shares are too far from their limit to exceed it
 TOLERANCE = 1e-6  # of the criterion, and of shares above 1
 BISECTIONS = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchProblem:
-    """Minimisation of the criterion of a series, relative to the standard errors `plain` (b,),
-    within limits.
+    """Minimisation of the criterion of a series within the limits.
 
-    Pairs of `obstacles` keep the margin, None without any: a search starts where they are far
-    apart, and what it finds is moved towards its start until they keep it.
+    Attributes:
+        series: the series.
+        information: information of a motion about the parameters.
+        limits: limits of the motion.
+        plain: standard errors with plain references, shape (b,), to which the criterion is
+            relative.
+        obstacles: pairs of links that keep a margin, or None. A search starts where they are far
+            apart, and its result is moved towards the start until they keep the margin.
     """
 
     series: Series
@@ -61,22 +68,32 @@ class SearchProblem:
 
     @cached_property
     def finer(self) -> Motion:
-        """Basis at samples between them too, which check what is found."""
+        """Basis of the series at more samples, which check the results of a search."""
         return self.series.basis(CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD * self.series.harmonics)
 
 
 def best_of_searches(
     problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]
 ) -> tuple[Array, Array]:
-    """Return coefficients (n, K) of the best of several searches, and standard errors (b,).
+    """Return the best of several searches.
 
-    Limits hold between samples too. The best has the smallest criterion; searches in which no
-    standard error exceeds `MAX_DEVIATION_RATIO` times the plain one come first. `say` gets a line
-    of text at each iteration.
+    Limits hold between the samples too. Searches in which no standard error exceeds
+    `MAX_DEVIATION_RATIO` times the plain one come first; then the smallest criterion counts.
+
+    Parameters
+    ----------
+    problem : the problem.
+    seed : seed of the random starts.
+    place : name of the description in errors.
+    say : called with a line of text at each iteration.
+
+    Returns
+    -------
+    Coefficients, shape (n, K), and standard errors, shape (b,).
 
     Raises
     ------
-    BadInputError : no search keeps the limits.
+    NoFitError : no search keeps the limits.
     """
     found, worst = list[tuple[bool, float, Array, Array]](), ""
     for i in range(STARTS):
@@ -109,8 +126,15 @@ def best_of_searches(
 
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
-    """Return a random reference that uses the same share of all limits, torque too; without
-    distances of links.
+    """Return a random reference that uses its share of a limit, torque limits included.
+
+    Distances of links are not checked.
+
+    Parameters
+    ----------
+    limits : limits of the robot.
+    series : the series.
+    seed : seed of the random coefficients.
     """
     reference = fourier_reference(
         limits.robot,
@@ -124,7 +148,7 @@ def random_within(limits: Limits, series: Series, seed: int) -> FourierReference
 
 
 def _random_start(problem: SearchProblem, seed: int) -> Array:
-    """Return coefficients (n, K) of a random reference within a share of the limits."""
+    """Return the coefficients of a random reference within a share of the limits, shape (n, K)."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
     x[:, 0] /= START_SHARE
@@ -140,9 +164,9 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
 
 
 def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
-    """Return the random pose (n,) of possible rest whose links are farthest apart.
+    """Return the random pose of rest in which links are farthest apart, shape (n,).
 
-    It is near the middle of the usable ranges.
+    The poses are near the middle of the usable ranges, and the robot can rest in them.
     """
     offsets = np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n))
     poses, still = limits.middle + offsets * limits.maximum[0], np.zeros(offsets.shape)
@@ -160,11 +184,16 @@ def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> N
 
 
 def best_series(problem: SearchProblem, start: Array, say: Callable[[float], None]) -> Array:
-    """Return coefficients x (n, K) of the smallest criterion.
+    """Return the coefficients of the smallest criterion, shape (n, K).
 
     Limits hold between the samples too, as far as possible. The search ignores distances: its
-    result is moved towards `start`, which is within all limits, until it is too. `say` gets the
-    criterion after each iteration.
+    result is moved towards `start`, which keeps all limits and distances, until it keeps them too.
+
+    Parameters
+    ----------
+    problem : the problem.
+    start : coefficients at which the search starts, shape (n, K).
+    say : called with the criterion after each iteration.
     """
     search = _Search(problem, say)
     kept = partial(
@@ -180,22 +209,24 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
 
 
 class _Search:
-    """The criterion and the limits as functions of the coefficients z (n K,), scaled to similar
-    effects.
+    """Criterion and limits as functions of scaled coefficients z, shape (n K,).
+
+    The scaling gives all coefficients similar effects.
     """
 
     def __init__(self, problem: SearchProblem, say: Callable[[float], None]) -> None:
         self._problem, self._say, self._basis = problem, say, problem.basis
         self._value = math.inf
-        # A coefficient of 1 takes its joint to the first limit.
+        # Coefficients have different units and effects. In this unit a coefficient of 1 alone takes
+        # its joint to its first limit, which gives the search a well-conditioned problem.
         peaks = np.array([np.abs(A).max(axis=0) for A in self._basis])
         self._unit = 1 / (peaks[:, None] / problem.limits.maximum[..., None]).max(axis=0)
-        # (L,) factors of the shares at the samples
+        # Factors (L,) of the shares at the samples, greater than 1 after `tighten`.
         self._tight = np.ones(len(problem.limits.names))
         self._last: tuple[Array, Array, Array, Ints] | None = None
 
     def minimise(self, x: Array, iterations: int) -> Array:
-        """Return coefficients (n, K) after iterations from x."""
+        """Return the coefficients, shape (n, K), after at most so many `iterations` from x."""
         from scipy.optimize import minimize
 
         done = minimize(
@@ -210,9 +241,7 @@ class _Search:
         return np.asarray(done.x.reshape(self._unit.shape) * self._unit)
 
     def tighten(self, x: Array) -> None:
-        """Scale shares at the samples from now on by how much those of x (n, K) rise between
-        them.
-        """
+        """Scale the shares at the samples by how much those of x, (n, K), rise between samples."""
         coarse, fine = (
             np.abs(self._problem.limits.shares(motion_of(x, basis))).max(axis=0)
             for basis in (self._basis, self._problem.finer)
@@ -235,14 +264,15 @@ class _Search:
         return self._value, (by_x * self._unit).ravel()
 
     def _shares_at(self, z: Array) -> tuple[Array, Array, Ints]:
-        """Return shares, their slopes, and the samples of their peaks; those of the last z are
-        cached.
+        """Return the shares, their slopes, and the samples of their peaks.
+
+        The values of the last z are cached, because the slack and its slopes both need them.
         """
         if self._last is None or not np.array_equal(self._last[0], z):
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
             windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
             peaks = windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None]
-            # where each limit is used most in each window
+            # Each window constrains only the sample that uses a limit most.
             self._last = z.copy(), shares, slopes, peaks
         return self._last[1:]
 
@@ -270,11 +300,20 @@ def shrink(
     share: float = 1.0,
     obstacles: Obstacles | None = None,
 ) -> Array:
-    """Move a series towards another until it is within a share of all limits at the samples of the
-    basis.
+    """Move a series towards another one until it keeps a share of all limits.
 
-    By default `towards` is rest at its end position. Shapes of `obstacles` keep the margin. Return
-    coefficients (n, K), beyond `share` if the other exceeds it too.
+    Parameters
+    ----------
+    x : coefficients, shape (n, K).
+    basis : basis of the series at the samples at which limits are checked, shape (N, K) each.
+    limits : limits of the robot.
+    towards : coefficients of the other series, shape (n, K). Default: rest at the end position.
+    share : share of the limits to be kept.
+    obstacles : pairs of links that keep a margin, or None.
+
+    Returns
+    -------
+    Coefficients, shape (n, K). They exceed `share` if those of `towards` do.
     """
     still = np.c_[x[:, :1], np.zeros_like(x[:, 1:])] if towards is None else towards
 

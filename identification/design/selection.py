@@ -1,5 +1,5 @@
-"""Choice of friction terms by cross-validation: over parts of a recording, or of a
-pair, or over recordings.
+"""Selection of friction terms by cross-validation, over parts of a recording or of a pair, or over
+recordings.
 
 Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well
 as the best (identification/docs/howto/friction.md). The score of a part is the sum of squared
@@ -23,18 +23,23 @@ from ..model import JointTerm
 from ..regression import Overrides, Rows
 
 FIFTHS = 5  # parts of a single recording
-FALSE_TERM_RATE = 0.02  # share of recordings that show a term by chance, without having any
-MIN_PARTS = 2  # fewer have no standard error of their mean
+FALSE_TERM_RATE = 0.02  # share of recordings without added terms that show one as a false positive
+MIN_PARTS = 2  # a single part gives no standard error of the mean score
 BASELINE: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
-# as a description lists them
+# In the order in which a description lists them.
 CANDIDATES: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")
-TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to the usual ones
+TermSet = tuple[frozenset[FrictionTerm], ...]  # terms added to the usual ones, by joint
 
 
 def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """Return the robot with a set's terms beside the usual ones.
+    """Return the robot with the terms of a set beside the usual ones.
 
-    Friction by direction becomes common friction and an offset.
+    Friction given by direction becomes common friction with an offset.
+
+    Parameters
+    ----------
+    robot : the robot.
+    terms : added terms, by joint.
     """
     return replace(
         robot,
@@ -55,15 +60,14 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
-    """Return by joint the terms of a set and the usual ones, as a description lists them under
-    `friction`.
-    """
+    """Return the usual terms and those of a set, by joint, as the key `friction` lists them."""
     return {joint.name: joint.terms for joint in with_terms(robot, terms).joints}
 
 
 def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
-    """Return these terms at all joints that can have them: Stribeck friction only if its speed is
-    given.
+    """Return a set with these terms at all joints that can have them.
+
+    A joint can have Stribeck friction only if its Stribeck speed is given.
     """
     return tuple(
         frozenset(kind for kind in kinds if kind != "stribeck" or has)
@@ -73,15 +77,16 @@ def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """The result of a set of terms on recordings.
+    """The result of a set of friction terms on recordings.
 
     Attributes:
+        terms: the set.
         significant_terms: the terms that have a parameter whose interval excludes 0.
-        fitted_error_percent: relative torque error, as that of a fit, fitted to all
-            rows; None without torque.
-        held_out_percents: (k,) the same of each part, predicted by the fit of the others;
-            NaN if no joint moves.
-        scores: (k,) of the parts.
+        fitted_error_percent: relative torque error of a fit to all rows, percent; None without
+            torque.
+        held_out_percents: relative torque errors of the parts, each predicted by the fit of the
+            others, shape (k,), percent; NaN if no joint moves.
+        scores: sums of squared weighted residuals of the parts, shape (k,).
     """
 
     terms: TermSet
@@ -97,12 +102,12 @@ class Trial:
 
     @property
     def score(self) -> float:
-        """Sum of the scores over the parts."""
+        """Sum of the scores of all parts."""
         return float(self.scores.sum())
 
     @property
     def held_out_error_percent(self) -> float:
-        """Mean held-out error over the parts, percent."""
+        """Mean held-out torque error of the parts, percent."""
         return float(np.nanmean(self.held_out_percents))
 
 
@@ -130,18 +135,16 @@ class TermChoice:
 
     @property
     def robot(self) -> Robot:
-        """The robot of the first recording."""
+        """Robot of the first recording."""
         return self.recordings[0].robot
 
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
-        """The selected terms by joint, as a description lists them under `friction`."""
+        """Selected terms, by joint, as `friction` of a description lists them."""
         return described_terms(self.robot, self.recommended.terms)
 
     def fits(self) -> list[results.Evidence]:
-        """Solve least squares of the recordings with the usual terms, and with the selected
-        ones.
-        """
+        """Fit the recordings by least squares, with the usual and with the selected terms."""
         return [
             results.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides)
             for trial in (self.usual, self.recommended)
@@ -178,7 +181,9 @@ def select_friction(
         for source in (signals.sources if isinstance(signals, Recordings) else (signals,))
     )
     given = overrides or Overrides()
-    if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
+    # The drive gains of one fit, with the terms of the description, are used for all sets, because
+    # scores can be compared only on one scale of the torque.
+    if given.gains:
         gain = results.identify(Recordings(sources=recordings), given, say=say).problem.robot.gain
         recordings = tuple(
             one.with_gains_of(replace(one.robot, identified_gain=gain)) for one in recordings
@@ -186,7 +191,8 @@ def select_friction(
         given = replace(given, gains=None)
     robot = recordings[0].robot
     low = given.low_speed_percent
-    # least squares with the weights of instruments
+    # Least squares takes the low-speed limit of instrumental variables here, because the selected
+    # terms are for fits by either method.
     given = replace(
         given,
         low_speed_percent=low_speed_by_method(
@@ -224,7 +230,12 @@ def select_friction(
 
 
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
-    """Return the smallest set within one standard error of the best."""
+    """Return the trial with the fewest terms within one standard error of the best score.
+
+    Parameters
+    ----------
+    trials : trials on the same parts.
+    """
     best = min(trials, key=lambda trial: trial.score)
     near = [
         trial
@@ -244,18 +255,16 @@ class Trials:
     """Trials of sets of terms on recordings; each set is tried once.
 
     Attributes:
-        whole: the model of all recordings with all tried terms.
-        added: joint and term of the base parameters of these, by name.
-        parts: masks (K,) of the time blocks that are held out: fifths of a single recording, or of
-            each
-            of several that differ in payload, as only all of them together determine the
-            parameters;
-            else each recording.
+        whole: the model of all recordings with all terms that are tried.
+        added: joint and term of the base parameters of these terms, by name.
+        parts: masks of the time blocks of the parts, shape (K,) each. A part is a fifth of a single
+            recording, or of each of several recordings that differ in payload, because only all of
+            these together determine the parameters; else it is a recording.
         names: names of the parts.
-        weights: (n,) 1/s_j of the fit with the usual terms.
-        unpredicted: messages about the parts whose parameters the others do not determine, by name.
-        done: the trials.
-        left_out: joints and terms that some of them leave out, each with the reason.
+        weights: weights 1/s_j of the fit with the usual terms, shape (n,).
+        unpredicted: messages about the parts that the others cannot predict, by name.
+        done: the trials, by set.
+        left_out: reasons why terms were left out, by joint and term.
     """
 
     def __init__(self, whole: methods.Model, rows: Rows) -> None:
@@ -297,8 +306,9 @@ class Trials:
         )
 
     def of(self, terms: TermSet) -> Trial:
-        """Return the trial of a set, without terms that are unidentifiable or load-dependent
-        friction that does not converge.
+        """Return the trial of a set.
+
+        Unidentifiable terms are left out, and so is load-dependent friction that does not converge.
         """
         if terms in self.done:
             return self.done[terms]
@@ -337,13 +347,14 @@ class Trials:
     def _significant(
         self, system: estimation.System, estimate: estimation.Estimate
     ) -> Sequence[str]:
-        """Return names of the parameters whose interval excludes 0, so wide that false positives
-        are rare.
+        """Return the names of the parameters whose interval excludes 0.
+
+        The intervals are so wide that false positives are rare.
         """
         found = estimation.intervals_of(system, estimate)
         level = 1 - FALSE_TERM_RATE / 2 / max(1, len(self.added))
         least = estimation.t_quantile(level, found.freedom) * found.sigma
-        # The interval of load friction must lie above 0: no friction decreases with load.
+        # Friction does not decrease with load, so the interval of mu must lie above 0.
         return [
             x
             for x, beta, most in zip(estimate.names, estimate.beta, least, strict=True)
@@ -351,7 +362,7 @@ class Trials:
         ]
 
     def _terms(self, names: Sequence[str]) -> TermSet:
-        """Return the tried terms that have these parameters."""
+        """Return the terms that have these parameters."""
         added = [self.added[name] for name in names if name in self.added]
         return tuple(
             frozenset(term for i, term in added if i == j) for j in range(len(self.weights))
@@ -367,7 +378,11 @@ class Trials:
         return model, settled, settled.rows
 
     def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
-        """Return by part the parameters (b,) by the others, and the names of those that they do not
+        """Return, for each part, the parameters by the other parts.
+
+        Returns
+        -------
+        Parameters, shape (b,), and the names of the parameters that the other parts do not
         determine.
         """
         system = settled.system
