@@ -10,12 +10,12 @@ from .arguments import add_report, refuse_outputs, show_results
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "a", "A.json", "a fit, as `fit --json` writes it")
+    add_path(parser, "a", "A.json", "fit that `fit --json` wrote")
     add_path(
         parser,
         "b",
         "B.json|URDF",
-        "another fit; or a URDF or a robot.toml, whose links are the prior",
+        "another fit; or a URDF or robot.toml with a priori link parameters",
     )
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
     add_flag(parser, "--all", "print all parameters, not only the largest differences")

@@ -39,15 +39,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--robot",
         choices=["scara", "tx40"],
         default="tx40",
-        help="the simulated robot (default tx40)",
+        help="simulated robot (default: tx40)",
     )
     add_flag(
         parser,
         "--gains",
-        "instead record drives in A, without and with 2 kg, and compare the drive gains with "
-        "the true ones",
+        "record drives in A, without and with a payload of 2 kg, and compare the identified drive "
+        "gains with the true ones",
     )
-    add_flag(parser, "--all", "print the whole fits by least squares and iv, and all parameters")
+    add_flag(parser, "--all", "print both fits, by least squares and iv, with all parameters")
     add_overwrite(parser)
 
 

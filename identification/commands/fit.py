@@ -27,31 +27,31 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_flag(
         consistent,
         "--consistent",
-        "also compute physically possible standard parameters of all links",
+        "also compute physically consistent standard parameters of all links",
     )
     add_path(
         consistent,
         "--prior",
         "ROBOT.toml|URDF",
-        "a-priori link parameters, from [parameters] or a URDF (default: the recording's "
-        "description)",
+        "a priori link parameters, from [parameters] or a URDF (default: the recorded "
+        "description); requires --consistent",
     )
     settings.add_argument(
         "--start",
         metavar="ls|regular|FIT.json",
-        help="initial parameters of iv: least squares (ls, default), unit inertias, or a "
-        "fit's JSON file",
+        help="initial parameters: ls (least squares), regular (unit inertias), or those of a fit "
+        "(default: ls); requires iv",
     )
     shared.add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument(
-        "--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`"
+        "--require", choices=["trust"], help="exit with status 3 unless the verdict is `trust`"
     )
-    add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
+    add_flag(outputs, "--all", "print everything: all parameters, tests, iterations, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
     shared.add_pictures(
         outputs,
-        "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each",
+        "write trajectories and fit as a Rerun file; for several recordings FILE_LOG.rrd each",
     )
 
 

@@ -13,11 +13,11 @@ from . import arguments as shared
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
+    add_path(inputs, "fit", "FIT.json", "fit that `fit --json` wrote")
     shared.add_recordings(inputs)
     add_options(
         parser.add_argument_group(
-            "settings of the fit", "The settings in FIT.json stand in for the defaults below."
+            "settings of the fit", "The settings in FIT.json replace the defaults below."
         ),
         Overrides,
         "torque_lag_s",
@@ -29,11 +29,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--max-error-percent",
         type=above_zero,
         metavar="P",
-        help="exit status 3 if the torque error is larger (with --consistent: that of the "
-        "consistent set)",
+        help="exit with status 3 if the torque error (with --consistent: of the consistent set) is "
+        "greater than P %%",
     )
     parser.set_defaults(all=False)
-    add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
+    add_flag(
+        parser, "--consistent", "also validate the physically consistent parameters of the fit"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

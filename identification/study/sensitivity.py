@@ -22,7 +22,7 @@ from ..results import identify_iv
 CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times the bandwidth
 DECIMATIONS = (0.5, 2.0)  # times that of the rules
 NOISES = (4e-6, 4e-5, 8e-5)  # of the position, times the travel of the joint that travels least
-STARTS = (0.001, 1000.0)  # inertias of a regular start, kg m² or kg
+STARTS = (0.001, 1000.0)  # initial inertias (`regular`), kg m² or kg
 # LS and its half-width of the 95 % interval, IV and its half-width
 Values = tuple[float, float, float, float]
 
@@ -32,7 +32,7 @@ class Variant:
     """A fit by the rules in which one thing is `changed`, to the value `to`.
 
     `noise` is white noise, rad or m rms, that is added to the recorded position after the control
-    loop; `start` are the inertias of a regular start, kg m² or kg. Without `gain_update` the
+    loop; `start` are initial inertias, kg m² or kg. Without `gain_update` the
     simulated robot keeps the recorded gains.
     """
 

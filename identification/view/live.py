@@ -86,7 +86,7 @@ def _wait() -> None:
 
 
 def _open_viewer(recording: Any) -> None:
-    """Connect to the viewer on this machine; if there is none, open one with limited memory."""
+    """Connect to the viewer on this machine; first open one, with limited memory, if necessary."""
     with socket.socket() as port:
         if port.connect_ex(("127.0.0.1", PORT)):
             options = f"--bind 127.0.0.1 --port {PORT} --memory-limit {VIEWER_MEMORY}"
