@@ -2,8 +2,8 @@
 for notebooks and pages.
 """
 
-import os
 import re
+import shutil
 import textwrap
 from collections.abc import Sequence
 from html import escape
@@ -38,7 +38,8 @@ def print_whole(*items: Document | str, short: bool = False) -> None:
     """
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
-        console.width = int(os.environ.get("COLUMNS") or (SHORT_WIDTH if short else _MAX_WIDTH))
+        # COLUMNS, if it is a positive number
+        console.width = shutil.get_terminal_size((SHORT_WIDTH if short else _MAX_WIDTH, 0)).columns
     for item in items:
         if isinstance(item, str):  # perhaps a command, which has to stay one line
             console.print(Text(one_line(item)), no_wrap=True, overflow="ignore", crop=False)

@@ -5,6 +5,7 @@ paths and errors are whole.
 from dataclasses import replace
 
 import msgspec
+import pytest
 from conftest import REPLAY
 
 from identification.report import (
@@ -37,15 +38,17 @@ WIDE = Document(
 )
 
 
-def test_short_report_wraps_without_cutting_names(capsys):
+@pytest.mark.parametrize(
+    ("given", "most"),
+    [("", MAX_WIDTH), ("wide", MAX_WIDTH), ("0", MAX_WIDTH), ("-5", MAX_WIDTH), ("80", 80)],
+)
+def test_short_report_wraps_without_cutting_names(given, most, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", given)
     print_whole(WIDE, f"open the plots: rerun /a b/{LONG} {LONG}", short=True)
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert out.count(LONG) == 4
-    assert (
-        max(len(line.strip()) for line in lines if LONG not in line and "─" not in line)
-        <= MAX_WIDTH
-    )
+    assert max(len(line.strip()) for line in lines if LONG not in line and "─" not in line) <= most
     assert f"open the plots: rerun /a b/{LONG} {LONG}" in lines, "a command is one line"
     assert out.count("word") == 60 + 12 + 1
     assert not any(line.strip().startswith("%") for line in lines), (
