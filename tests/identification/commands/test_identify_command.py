@@ -24,7 +24,7 @@ def test_fit_prints_table_and_writes_json(capsys, tmp_path):
     assert "fit.txt: ending = '.txt'" in refused(
         capsys, "fit", SESSION, "--report", tmp_path / "fit.txt"
     )
-    assert "8 of 8 well determined" in out
+    assert "\nParameters         8 of 8 well determined; " in out
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert [p["name"] for p in fit["parameters"]] == [
         "ZZ1R",

@@ -201,8 +201,8 @@ def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     held = (
         f"{stored[key]:.3g} %" for key in ("held_out_error_percent", "prior_held_out_error_percent")
     )
-    shown = "{} held out, [0-9.]+ % fitted, over the same rows; a priori links {}"
-    assert re.search(shown.format(*held), report.read_text())
+    shown = "{} held out, [0-9.]+ % fitted, over the same rows; a priori links {}".format(*held)
+    assert re.search(rf"- \*\*Cross-validation\*\*: {shown}", report.read_text())
 
     arm.write_text(six_joints((2.0,) * 6))
     status, out, _ = run(capsys, "compare", fit, arm, "--json", tmp_path / "compared.json", "--all")

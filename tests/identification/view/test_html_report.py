@@ -86,6 +86,7 @@ def test_file_is_small_and_self_contained(tmp_path):
     for part in (
         f"Verdict: {fit.trust.verdict}",
         "assumptions that no test covers",
+        "drive gains, efforts",
         signals.sha256,
         f"numpy {np.__version__}",
     ):
