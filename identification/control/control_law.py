@@ -6,10 +6,14 @@ It acts on motor positions q_m = R q once per period of the loop, and holds its 
     u = Kp (R (q_r - q)) + Kd (R (phi dq_r - dq)) + Ki integral(alpha R (q_r - q) - R dq (1 - phi)),
     tau = R' G u
 
-| structure | Kp | Kd | phi | Ki, integral of | |---|---|---|---|---| | `pd` | p | v | 0 | - | |
-`pd_velocity_feedforward` | p | v | 1 | - | | `cascade_p_p` | p v | v | 0 | - | | `cascade_p_pi` | p
-v | v | 0 | v i, velocity error, alpha = p | | `pid` | p | v | 1 | i, position error, alpha = 1 | |
-`computed_torque` | p | v | 1 | - |
+| structure | Kp | Kd | phi | Ki, integral of |
+|---|---|---|---|---|
+| `pd` | p | v | 0 | - |
+| `pd_velocity_feedforward` | p | v | 1 | - |
+| `cascade_p_p` | p v | v | 0 | - |
+| `cascade_p_pi` | p v | v | 0 | v i, velocity error, alpha = p |
+| `pid` | p | v | 1 | i, position error, alpha = 1 |
+| `computed_torque` | p | v | 1 | - |
 
 p, v, i are the keys `position_gain`, `velocity_gain`, `integral_gain`. With computed torque u is a
 motor acceleration, p in 1/s², v in 1/s, and tau = IDM(q, dq, ddq_r + R⁻¹ u). With

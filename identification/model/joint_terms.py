@@ -3,11 +3,15 @@
 With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (of a
 joint or of a coupled motor):
 
-| term | torque per unit of the parameter | along | parameters | |---|---|---|---| | viscous | v |
-joint, coupled motor | Fv, Fvm | | coulomb | sign(u) | direction | Fc, Fcm | | offset | 1 | joint |
-Off | | asymmetric | abs(v) | joint | Fa | | root | sqrt(abs(u)) sign(u) | direction | Fr, Frm | |
-stribeck | exp(-(u/u_s)²) sign(u), u_s a given speed | direction | Fs, Fsm | | load | abs(tau_rigid)
-sign(v), tau_rigid the torque of the links | joint | mu |
+| term | torque per unit of the parameter | along | parameters |
+|---|---|---|---|
+| viscous | v | joint, coupled motor | Fv, Fvm |
+| coulomb | sign(u) | direction | Fc, Fcm |
+| offset | 1 | joint | Off |
+| asymmetric | abs(v) | joint | Fa |
+| root | sqrt(abs(u)) sign(u) | direction | Fr, Frm |
+| stribeck | exp(-(u/u_s)²) sign(u), u_s a given speed | direction | Fs, Fsm |
+| load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
 
 Motors act through the motor matrix. Let r be the row of motor m, divided by its entry at joint m.
 The motor turns at r·dq and adds r' Ia (r·ddq), r' Fvm (r·dq) and r' Fcm sign(r·dq). Fvm and Fcm

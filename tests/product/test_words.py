@@ -165,6 +165,8 @@ def test_docstrings_of_functions_say_what_they_do(package):
             first = text.split()[0]
             if first.strip(",:;") in FIRST or not first[0].isalpha() or not first[0].isupper():
                 wrong.append(f"{path.relative_to(ROOT)}: {node.name}: {text[:60]}")
+        if "| |" in path.read_text():
+            wrong.append(f"{path.relative_to(ROOT)}: rows of a table on one line")
     assert wrong == []
 
 
