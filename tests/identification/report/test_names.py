@@ -1,7 +1,10 @@
 """Names of parameters are read as they were built, whatever recordings and motors are called."""
 
 import pytest
+from conftest import robot_named
 
+from acquisition.robot import FRICTION
+from identification.model import InverseModel, base_parameters
 from identification.report import (
     base_name,
     gain_name,
@@ -9,6 +12,7 @@ from identification.report import (
     is_gain,
     is_load,
     is_own,
+    meaning_of,
     motor_of,
     own_name,
     payload_name,
@@ -42,3 +46,17 @@ def test_common_parameters():
     assert (base_name("Off1"), recording_of("Off1")) == ("Off1", "")
     assert is_base("Off1")
     assert not is_own("Off1")
+
+
+def test_every_parameter_has_a_meaning():
+    """A new friction term needs one too."""
+    names = [f"{x}1" for term in FRICTION.values() for x in (term.name, term.motor_name) if x] + [
+        name
+        for robot in ("tx40", "scara", "emps")
+        for name in base_parameters(InverseModel(robot_named(robot))).names
+    ]
+    assert [name for name in names if not meaning_of(name, ["axis"] * 6)] == []
+    assert (
+        meaning_of("Fc2R@night", ["base", "axis"])
+        == "Coulomb friction of axis in night (regrouped)"
+    )
