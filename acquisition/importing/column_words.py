@@ -6,12 +6,9 @@ from .quantities import EFFORT_UNITS, POSITION_UNITS, TIME_UNITS, VELOCITY_UNITS
 
 _WORDS = {
     "position": "q qpos jpos pos posn position positions angle angles theta winkel lage stellung "
-    "posizione angolo "
-    "posicion angulo posicao 位置 角度",
+    "posizione angolo posicion angulo posicao 位置 角度",
     "velocity": "dq qd qdot qvel jvel vel velo velocity velocities speed speeds omega "
-    "geschwindigkeit "
-    "drehzahl vitesse "
-    "velocita velocidad velocidade 速度",
+    "geschwindigkeit drehzahl vitesse velocita velocidad velocidade 速度",
     "torque": "tau torque torques trq moment drehmoment couple coppia par 力矩 扭矩 转矩 トルク",
     "current": "current currents curr strom motorstrom courant corrente corriente 电流 電流",
     "effort": "eff effort efforts",
@@ -19,8 +16,7 @@ _WORDS = {
     "commanded des desired d soll "
     "goal consigne consigna riferimento referencia 目标 目標 指令 期望 给定",
     "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree "
-    "reale "
-    "real 实际 実際",
+    "reale real 实际 実際",
     "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
     "motor": "m motor motors mot moteur motore encoder enc 电机",
     "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",

@@ -95,13 +95,11 @@ ADDED_COLUMNS = Words(
     advice="Describe it (`friction`, `offset`, `gravity_m_s2`), record it "
     "([`known_torque`](../../acquisition/docs/import.md#maptoml)), or remove its cause.",
     detects="A term that the model lacks (added-variable test): friction terms, offset, drift, "
-    "springs, "
-    "an effort limit, a disabled rotor inertia, base tilt, joint zero offsets, gain, ratio or "
-    "delay of one joint, clock drift, hysteresis. A term that explains as much at the same joint "
-    "is named too",
+    "springs, an effort limit, a disabled rotor inertia, base tilt, joint zero offsets, gain, "
+    "ratio or delay of one joint, clock drift, hysteresis. A term that explains as much at the "
+    "same joint is named too",
     limit="`caution`: t is above 5, and the term explains more than 2 % of the residual variance "
-    "(10 % "
-    "for a lone spring or a part of the time). A delay counts if it changes an essential "
+    "(10 % for a lone spring or a part of the time). A delay counts if it changes an essential "
     "parameter by more than one half-width",
     cases={
         "every term": Case("skipped", "the model has every term that is tried"),

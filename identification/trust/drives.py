@@ -96,10 +96,9 @@ LAG = Words(
     detects="The delay of the recorded torque after the motion. The fit [estimates and corrects "
     "it](method.md#delay-of-the-torque), and the intervals include it",
     limit="`caution`: the recorded reference does not show it, and its uncertainty changes an "
-    "essential "
-    "parameter by more than one half-width; a torque comes before its command; or a given "
-    "`torque_lag_s` differs from the data at t > 4. `inconclusive`: it is assumed, for lack of a "
-    "reference",
+    "essential parameter by more than one half-width; a torque comes before its command; or a "
+    "given `torque_lag_s` differs from the data at t > 4. `inconclusive`: it is assumed, for lack "
+    "of a reference",
     cases={
         "contradicted": Case(
             "caution",
@@ -247,9 +246,8 @@ LAW = Words(
     of_data=True,
     advice="Check rated value, ratio, sample rate and `[controller]`.",
     detects="Given gains that differ from the Kp, Kd, Ki estimated from reference, position and "
-    "effort. "
-    "Without a given control law, the estimated one is reported and simulated if it explains 98 % "
-    "of the effort at every motor",
+    "effort. Without a given control law, the estimated one is reported and simulated if it "
+    "explains 98 % of the effort at every motor",
     limit="`do not use`: all gains are negative. `caution`: a gain differs by more than its "
     "half-width plus 1 %, another structure fits better, or 5 % of the effort is not explained",
     cases={
@@ -334,8 +332,7 @@ SATURATION = Words(
     of_data=True,
     advice="Set `saturation` of the motor.",
     detects="Drives that saturate at a limit that is not given, if control law or simulated robot "
-    "are not "
-    "confirmed",
+    "are not confirmed",
     limit="`do not use`: the iterations do not converge. `caution`: they do",
     cases={
         "no fixed point": Case("do not use", "{limits}", "Set saturation of the motor.", "{first}"),

@@ -233,8 +233,7 @@ EFFORT = Words(
     of_data=True,
     advice="Check drive gain, ratio and unit, or correct the limit.",
     detects="Recorded efforts above `effort_nm`, `effort_n`, `saturation` or the URDF's `effort`. "
-    "Skipped "
-    "with `--gains`",
+    "Skipped with `--gains`",
     limit="`caution`: at least 20 % above",
     cases={
         "beyond": Case(

@@ -325,8 +325,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
             "taken_off": "it is subtracted from the arm{exact}",
             "both": "; ",
             "always": "no recording is without payload, so the parameters include what is not "
-            "given "
-            "of the lightest",
+            "given of the lightest",
         },
     ),
     "drive gains": Assumption(
@@ -363,8 +362,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = {
     "filters": Assumption(
         "{duration_s:.0f} s of motion",
         "intervals include noise only; filters distort a parameter by about 0.1 %, which is as "
-        "much "
-        "here",
+        "much here",
     ),
     "encoder noise": Assumption(
         "the same spectrum below and above the low-pass",

@@ -72,8 +72,7 @@ GAINS = Words(
     detects="With `--gains` only: drive gains that are negative, not well determined, or all wrong "
     "by one factor",
     limit="`do not use`: a drive gain is negative, or no half-width is below 50 %. `caution`: none "
-    "is "
-    "below 10 %, or all gains differ from the given ones by one factor of more than 10 %",
+    "is below 10 %, or all gains differ from the given ones by one factor of more than 10 %",
     cases={
         "all negative": Case(
             "do not use",

@@ -83,14 +83,12 @@ PHYSICAL = Words(
     by=physical_test,
     advice="Check what the finding names, the driver's definition of effort, and `gravity_m_s2`.",
     detects="An inertia matrix M that is not positive, negative friction or rotor inertia, and "
-    "torques "
-    "that a model without gravity fits better. Joints that share motors are tested together (Fc5 "
-    "+ Fcm6 of the TX40); further friction terms by their power at recorded speeds",
+    "torques that a model without gravity fits better. Joints that share motors are tested "
+    "together (Fc5 + Fcm6 of the TX40); further friction terms by their power at recorded speeds",
     limit="`do not use`: a value is more than two half-widths below zero; or the parameters are "
-    "far "
-    "from a physically consistent model and a second indication confirms this, such as a reversed "
-    "effort or a held-out error above 20 %. `caution`: M is less far below zero, or friction by "
-    "more than 1.4 half-widths",
+    "far from a physically consistent model and a second indication confirms this, such as a "
+    "reversed effort or a held-out error above 20 %. `caution`: M is less far below zero, or "
+    "friction by more than 1.4 half-widths",
     cases={
         "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
         "impossible": Case("do not use", "{what}", _TERMS),

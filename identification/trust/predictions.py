@@ -165,11 +165,9 @@ HELD_OUT = Words(
     place=170,
     advice="Record longer, with more varied motion, or fit with `--essential`.",
     detects="Overfitting: five time blocks, or each of several recordings, are predicted by the "
-    "fit "
-    "of the others",
+    "fit of the others",
     limit="`caution`: their error is more than 1.5 times that of the fit. `do not use`: more than "
-    "3 "
-    "times, and M is not positive",
+    "3 times, and M is not positive",
     cases={
         "few rows": Case(
             "skipped", "too few rows outside a block for {count} parameters", "Record longer."

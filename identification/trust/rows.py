@@ -92,11 +92,9 @@ ROWS = Words(
     of_data=True,
     advice="Record timestamps or a row counter, and record again.",
     detects="Missing or repeated rows: position steps that are double or zero, with a robust "
-    "z-score "
-    "above 10",
+    "z-score above 10",
     limit="`caution`: more than 0.1 % of the rows in motion. `ok`: [unmeasured "
-    "rows](#rows-and-filters) "
-    "have zero weight, or the encoder is slower than the log",
+    "rows](#rows-and-filters) have zero weight, or the encoder is slower than the log",
     cases={
         "lost": Case(
             "caution",
@@ -174,7 +172,6 @@ ENDS = Words(
     },
     parts={
         "outliers": "{count} outliers in {rows} rows in motion; largest robust z-score "
-        "{middle:.3g} "
-        "(limit {limit:g}), at the ends {ends:.3g}"
+        "{middle:.3g} (limit {limit:g}), at the ends {ends:.3g}"
     },
 )

@@ -41,8 +41,7 @@ FIXED_POINT = Words(
     place=60,
     advice="Check signs, gains and `bandwidth_hz`, or record faster motion.",
     detects="Iterations of iv that do not converge, or to a solution that the simulated robot does "
-    "not "
-    "confirm",
+    "not confirm",
     limit="`do not use`: the iterations do not converge. `caution`: the simulated robot does not "
     "confirm the solution",
     cases={
@@ -69,8 +68,7 @@ POSITION_NOISE = Words(
     of_data=True,
     advice="Use `--method iv`, which needs the reference.",
     detects="Bias of least squares by position noise: noise with the spectrum seen above the "
-    "low-pass is "
-    "added, and the change of the estimate counts. A large bias is underestimated",
+    "low-pass is added, and the change of the estimate counts. A large bias is underestimated",
     limit="`caution`: the change of an essential parameter is above 1 % and one half-width, or "
     "above 5 % and half a half-width",
     cases={
@@ -228,8 +226,7 @@ EXCITATION = Words(
     by=excitation_test,
     advice="Record a more varied motion: `excite` designs one.",
     detects="Motion that hardly excites a combination of the essential parameters, by the "
-    "condition "
-    "number of their scaled columns",
+    "condition number of their scaled columns",
     limit="`caution`: above 50 (a motion of five sines has 7 to 11, a single sine 80 to 100)",
     cases={
         "hardly": Case(

@@ -175,8 +175,7 @@ def urdf_robot(shape):
     visual = f"<visual><geometry>{shape}</geometry></visual>"
     joint = (
         "<joint name='{0}' type='revolute'><parent link='{1}'/><child link='{2}'/><origin xyz='0 0 "
-        ".4'/>"
-        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+        ".4'/><axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
     )
     urdf = (
         f"<robot name='arm'><link name='base'>{visual}</link><link name='l1'>{LINK}{visual}</link>"

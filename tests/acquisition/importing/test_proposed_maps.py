@@ -75,20 +75,16 @@ HEADERS = [
     Header(
         tool="ur rtde", separator=" ", angle="rad", effort="A",
         columns="timestamp t; target_q_{0} ref; target_qd_{0} vref; target_qdd_{0} acc; "
-        "target_current_{0} other; "
-        "target_moment_{0} other; actual_q_{0} q; actual_qd_{0} v; actual_current_{0} i; "
-        "actual_current_window_{0} other; "
-        "joint_control_output_{0} other; actual_TCP_pose_{0} other; actual_TCP_speed_{0} other; "
-        "joint_temperatures_{0} other; "
+        "target_current_{0} other; target_moment_{0} other; actual_q_{0} q; actual_qd_{0} v; "
+        "actual_current_{0} i; actual_current_window_{0} other; joint_control_output_{0} other; "
+        "actual_TCP_pose_{0} other; actual_TCP_speed_{0} other; joint_temperatures_{0} other; "
         "actual_joint_voltage_{0} other; actual_current_as_torque_{0} tau",
     ),
     Header(
         tool="libfranka", step=1.0, unit="ms", joints=7, angle="rad", effort="N m",
         columns="time t; success_rate other; state.q[{0}] q; state.q_d[{0}] ref; state.dq[{0}] v; "
-        "state.dq_d[{0}] vref; "
-        "state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; cmd.q_d[{0}] other; "
-        "cmd.dq_d[{0}] vref; "
-        "cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
+        "state.dq_d[{0}] vref; state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; "
+        "cmd.q_d[{0}] other; cmd.dq_d[{0}] vref; cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
     ),
     Header(
         tool="ros2_control, controller_state", angle="rad",
@@ -112,8 +108,7 @@ HEADERS = [
     Header(
         tool="french", step=2.0, unit="ms", separator="\t", angle="rad", effort="N m",
         columns="temps (ms) t; position_mesurée_{1} (rad) q; vitesse_{1} (rad/s) v; couple_{1} "
-        "(Nm) tau; "
-        "consigne_position_{1} (rad) ref",
+        "(Nm) tau; consigne_position_{1} (rad) ref",
     ),
     Header(tool="chinese",
            columns="时间 t; 关节{1}实际位置 q; 关节{1}目标位置 ref; 关节{1}实际力矩 tau",

@@ -195,8 +195,7 @@ def test_chromium_shows_without_requests_or_scroll(tmp_path):
             ]
             assert window.run(
                 "return [...document.querySelectorAll('path.l')].filter(p => p.getBBox().width <= "
-                "1 && "
-                "p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < "
+                "1 && p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < "
                 ".5).length"
             ) == 0  # fmt: skip
             ground = "return getComputedStyle(document.body).backgroundColor"
