@@ -89,8 +89,7 @@ def consistent_set(
     known : the estimate with its covariance.
     prior : robot with the a priori links; None for its own description.
     power : power of friction at recorded speeds, for further friction terms; None without such
-        terms
-        or known speeds.
+        terms or known speeds.
 
     Raises
     ------

@@ -48,14 +48,12 @@ class FitOnRecording:
 
     Attributes:
         problem: recording, settings and model; without samples if the recordings of a fit are too
-            long
-            to be held.
+            long to be held.
         names: (b,) names of its base parameters in the fit.
         carried: (b,) the payload's share of them.
         beta: (b,) their values, with the payload.
         t_s: (rows,) instants of decimated rows, s, after filters that depend on the motion only;
-            those
-            of the fit are in `Evidence.data`.
+            those of the fit are in `Evidence.data`.
         tau, tau_predicted: (rows, n) measured and predicted torques there, N m or N.
         counts: (rows, n) True where the joint moves, as in rows of a fit.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
@@ -332,10 +330,8 @@ def errors_ahead(problem: Problem, beta: Array) -> Array | None:
     Returns
     -------
     (2, h, n) : the rms over the starts of the error after each of `HORIZONS_S`, and of the way
-    moved
-        until then, rad or m; None if the recording is too short, M is not positive, or the motion
-        grows
-        without bounds.
+        moved until then, rad or m; None if the recording is too short, M is not positive, or the
+        motion grows without bounds.
     """
     s, fs = problem.settings, problem.signals.sample_rate_hz
     ahead = [max(1, round(x * fs)) for x in HORIZONS_S]

@@ -179,8 +179,7 @@ class Summary:
             ones.
         coverage_percent: true values inside their 95 % intervals, over all parameters.
         spread_over_interval: median over the parameters of 1.96 observed standard deviations over
-            the
-            half-width.
+            the half-width.
         trusted, false_trust: runs with the verdict `trust`; those of them in which an essential
             parameter is wrong by more than `FALSE_TRUST` half-widths or M is not positive.
     """

@@ -53,8 +53,7 @@ def follow_recording(
     Raises
     ------
     BadInputError : the recording cannot be followed any more: it is gone, replaced, truncated, or
-        not
-        written.
+        not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
