@@ -39,8 +39,8 @@ from .exported_model import STATES, ExportedModel, Losses, representable, split_
 from .formats import mjcf_text, servo_loop, urdf_text
 
 SOFT_FRICTION = (
-    "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near "
-    "rest creeps"
+    "MuJoCo's frictionloss is a soft constraint: a joint near rest creeps, a moving joint has its "
+    "full friction"
 )
 _TABLE_HEADER = re.compile(
     r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
@@ -102,9 +102,9 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     )
     if (c := stored.consistent) is not UNSET:
         lines.append(
-            f"the physically consistent parameters of {place}: prior {c.prior}, weight "
-            f"{c.prior_weight:g}; increase of chi² {c.chi2:.3g}, largest change "
-            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
+            f"the physically consistent parameters of {place}: largest change "
+            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase "
+            f"of chi² {c.chi2:.3g}; a priori values (weight {c.prior_weight:g}) from {c.prior}"
         )
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
@@ -147,8 +147,8 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     return np.array([p.value for p in parameters]), (
         f"the parameters of {place} were adjusted to be physically consistent: largest change "
         f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase of "
-        f"chi² {c.chi2:.3g} over {base.b} parameters; prior {c.prior}; Newton decrement "
-        f"{c.certificate:.1e}"
+        f"chi² {c.chi2:.3g} over {base.b} parameters; a priori values from {c.prior}; "
+        f"Newton decrement {c.certificate:.1e}"
     )
 
 
@@ -230,7 +230,7 @@ def _make_section(
         title=title,
         table=Table(columns=heads + columns("unit", numbers=("relative, %",)), rows=tuple(rows)),
         lines=(
-            f"missing torque at {STATES} random states within the limits of the description, also "
+            f"Missing torque at {STATES} random states within the limits of the robot, also "
             "relative to the whole torque",
             *notes,
         ),

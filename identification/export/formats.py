@@ -273,7 +273,10 @@ def _note_unlimited(joints: dict[str, Element]) -> Iterator[str]:
             if _attribute(joint, "limit", key) == format_numbers(UNLIMITED)
         ]
         if names:
-            yield f"unknown {key} of {listed(names)} is written as {UNLIMITED:g}: give {keys}"
+            yield (
+                f"The {key} limit of {listed(names)} is unknown and written as {UNLIMITED:g}. "
+                f"Set {keys} in robot.toml."
+            )
 
 
 def _find_lumped(

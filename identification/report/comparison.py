@@ -157,7 +157,9 @@ def comparison_document(
             if row.a and row.b
         ]
         table = Table(
-            columns=columns("name", "unit", numbers=("value", "±95%", "prior", "ratio")),
+            columns=columns(
+                "name", "unit", numbers=("value", "95 % half-width", "a priori", "ratio")
+            ),
             rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both),
         )
         section, rows = replace(section, table=table), [row for row, _ in both]
@@ -177,7 +179,10 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
             columns=columns(
                 "name",
                 "unit",
-                numbers=(a.label, "±95%", b.label, "±95%", "difference", "%", "in sigma"),
+                numbers=(
+                    *(head for x in (a, b) for head in (x.label, "95 % half-width")),
+                    *("difference", "relative, %", "in standard errors"),
+                ),
             ),
             rows=tuple(_cells(row) for row in rows),
         ),

@@ -265,7 +265,8 @@ def _consistent(fit: FitFile) -> list[Section]:
     left = [f"{name} ({move:+.2g})" for name, move in moves if abs(move) > 1]
     lines = (
         "All pseudo-inertias and rotor inertias are positive, and friction adds no energy. A "
-        f"priori values: {c.prior}" + ("." if line is not None and line.value == c.chi2 else own),
+        f"priori values are from {c.prior}"
+        + ("." if line is not None and line.value == c.chi2 else own),
         f"chi² increases by {c.chi2:.3g} over {len(moves)} parameters. Largest change: "
         f"{c.moved_most} by {c.largest_move:.2g} half-widths of its 95 % interval.",
         *([f"Changed by more than one half-width: {', '.join(left)}."] if left else []),

@@ -221,7 +221,9 @@ def test_lines_fit_terminal_and_use_user_words(name, commands, tmp_path, monkeyp
         program, *arguments = command.split()
         {"robot-identify": IDENTIFY, "robot-acquire": ACQUIRE}[program].main(arguments)
         printed = capsys.readouterr()
-        lines = [*printed.out.splitlines(), *printed.err.splitlines()]
+        # The recordings of replay_data have stored a name of 6074h that has changed since.
+        out = printed.out.replace("(torque demand,", "(torque demand value,")
+        lines = [*out.splitlines(), *printed.err.splitlines()]
         assert lines, command
         if "--all" not in arguments:
             assert len(printed.out.splitlines()) <= MAX_LINES, command
@@ -229,5 +231,5 @@ def test_lines_fit_terminal_and_use_user_words(name, commands, tmp_path, monkeyp
             assert [
                 line for line in lines if len(line) > MAX_CHARACTERS and "─" not in line
             ] == [], command
-        for words in UNKNOWN_TO_USERS:
+        for words in (*UNKNOWN_TO_USERS, *GONE):
             assert not [line for line in lines if re.search(words, line)], (command, words)

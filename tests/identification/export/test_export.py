@@ -141,10 +141,10 @@ def test_new_urdf_matches_link_torques(name, tmp_path):
     ]
     assert any(line.startswith("a URDF has no gravity: set ") for line in lines) == turned
     unknown = (
-        f"unknown effort of {', '.join(names)} is written as 1e+09: give effort_nm, effort_n or "
-        "saturation"
+        f"The effort limit of {', '.join(names)} is unknown and written as 1e+09. Set effort_nm, "
+        "effort_n or saturation in robot.toml."
     )
-    assert [line for line in lines if line.startswith("unknown ")] == ([] if known else [unknown])
+    assert [line for line in lines if " is unknown and " in line] == ([] if known else [unknown])
 
 
 def test_given_effort_is_limit_of_new_urdf():

@@ -208,7 +208,7 @@ def test_a_priori_in_report_files_and_compare(tmp_path, capsys):
     status, out, _ = run(capsys, "compare", fit, arm, "--json", tmp_path / "compared.json", "--all")
     assert status == 0
     lines = out.translate(str.maketrans("┃│", "  ")).splitlines()
-    head = "name unit value ±95% prior ratio"
+    head = "name unit value 95 % half-width a priori ratio"
     assert next(line for line in lines if "value" in line).split() == head.split()
     value, _, prior, ratio = map(
         float, next(line.split() for line in lines if line.strip().startswith("MZ2R"))[-4:]
