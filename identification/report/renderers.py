@@ -122,17 +122,22 @@ def _remove_frame(table: RichTable) -> None:
 
 
 def _compact(column: Column) -> None:
-    """Fold headings of numbers, whose columns keep their width, and texts at words."""
+    """Fold headings of numbers, whose columns keep their width, and texts at words.
+
+    Headings are also folded at hyphens.
+    """
     column.overflow = "fold"
     numbers, heading = column.justify == "right", str(column.header)
     cells = [str(cell) for cell in column.cells]
     words = [
-        word for text in ([heading] if numbers else [heading, *cells]) for word in text.split()
+        word
+        for text in ([re.sub(r"(?<=\w)-(?=\w)", "- ", heading)] if numbers else [heading, *cells])
+        for word in text.split()
     ]
     width = min(_MAX_WORD, max((cell_len(word) for word in words), default=1))
     if numbers:
         width = max(width, *(cell_len(cell) for cell in cells), 1)
-        column.header = Text("\n".join(textwrap.wrap(heading, width, break_on_hyphens=False)))
+        column.header = Text("\n".join(textwrap.wrap(heading, width)))
         column.no_wrap, column.max_width = True, width
     column.min_width = width
 
