@@ -5,6 +5,8 @@ Nothing moves and no PDO is configured; objects are read and SYNC is measured.
 """
 
 import math
+import shutil
+import textwrap
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass
@@ -130,7 +132,8 @@ def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
 def table(findings: list[Finding]) -> list[str]:
     """Return one line per finding, failed ones first: mark, property, nodes, value.
 
-    Drives with the same finding share a line.
+    Drives with the same finding share a line. A terminal, or COLUMNS, sets the width in which
+    values are wrapped; without it they are not.
     """
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
@@ -146,7 +149,11 @@ def table(findings: list[Finding]) -> list[str]:
         max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows])
     )
     return [
-        f"{'ok' if ok else 'FAILED':6}  {name:{names}}  {of:{of_nodes}}  {found}"
+        textwrap.fill(
+            f"{'ok' if ok else 'FAILED':6}  {name:{names}}  {of:{of_nodes}}  {found}",
+            shutil.get_terminal_size((10_000, 0)).columns,
+            subsequent_indent=" " * (12 + names + of_nodes),
+        )
         for name, found, ok, of in rows
     ]
 
