@@ -66,8 +66,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--effort",
         choices=_EFFORTS["ratio"][:3],
-        help="unit of the recorded efforts; %% is percent of the rated torque (default with --bus: "
-        "that of the drives)",
+        help="unit of the recorded efforts; %% is percent of the rated torque (default: that "
+        "of the drives, with --bus)",
     )
     group.add_argument(
         "--ratio",
