@@ -11,8 +11,9 @@ _MAX_VALUE_LENGTH = 80  # files may contain anything
 
 
 def one_line(text: str) -> str:
-    """Return `text` without line breaks and control characters, which file names and contents may
-    have.
+    """Return `text` without line breaks and control characters.
+
+    File names and contents may have such characters.
     """
     return "".join(
         c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split())
@@ -31,8 +32,9 @@ def holding(texts: Mapping[str, object]) -> list[str]:
 
 
 class HeldBack(AbstractContextManager["HeldBack"]):
-    """Context manager of the steps of a stop: it holds back what a step raises, so that the next
-    step is taken.
+    """Context manager of the steps of a stop, which holds back what a step raises.
+
+    So the next step is taken after an exception, too.
 
     Attributes:
         interrupt: the first KeyboardInterrupt or SystemExit, raised after the stop.
@@ -150,8 +152,9 @@ class NoAnswerError(BusFaultError):
 
 
 class SdoAbortedError(BusFaultError):
-    """A `node` refused an access to an `index` with the abort `code` of CiA 301; `meaning` in
-    words.
+    """Error for an access to an `index` that a `node` refused with an abort `code` of CiA 301.
+
+    `meaning` is the code in words.
     """
 
     def __init__(self, meaning: str, *, node: int, index: int, code: int, **data: Any) -> None:

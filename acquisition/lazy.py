@@ -1,5 +1,6 @@
-"""Names of a package that are imported at their first use (PEP 562), so that importing the package
-itself is fast.
+"""Names of a package that are imported at their first use (PEP 562).
+
+The import of the package itself is therefore fast.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,8 +11,9 @@ from typing import Any
 def lazy_names(
     package: str, names_of: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a package; `names_of` lists the imported names by
-    module.
+    """Return `__getattr__` and `__dir__` of a package.
+
+    `names_of` lists the imported names by module.
     """
     module_of = {name: module for module, names in names_of.items() for name in names}
 

@@ -1,6 +1,7 @@
 """Dataclass fields that are command options, each with its default, unit and help.
 
-No heavy imports: `--help` reads these records without the rooms that use them.
+The module has no heavy imports, because `--help` reads these records without the subpackages that
+use them.
 """
 
 from collections.abc import Callable
@@ -16,9 +17,9 @@ def option(
     flag: str = "",
     **others: Any,
 ) -> dict[str, Any]:
-    """Return the annotation of a field that is an option: arguments of
-    `ArgumentParser.add_argument`, without those that are None.
+    """Return the annotation of a field that is an option.
 
+    The annotation has the arguments of `ArgumentParser.add_argument`, without those that are None.
     `flag` defaults to `--` and the field's name. `commands.add_options` adds the default to the
     help.
     """

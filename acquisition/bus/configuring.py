@@ -20,7 +20,7 @@ Write = tuple[int, int, int, int]  # index, sub-index, value, size in bytes
 UNREADABLE = (0x06010000, 0x06010001)
 # The display must follow the mode of operation within this time.
 MODE_S = 0.5
-# Relative tolerance of ranges, speeds and ratios; and the speed that stands for no limit.
+# Relative tolerance of ranges, speeds and ratios; and the speed that means no limit.
 TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1
 # If range and speed of a drive are the same multiple of the limits at the motor, the ratio is
 # probably wrong. This is the smallest multiple, and the largest difference between the two.

@@ -155,10 +155,9 @@ class WallClock:
         return self._begin_ns + self._monotonic_ns()
 
     def step_ns(self) -> int:
-        """Return the step of the wall clock since the last call in ns, positive if it was set
-        forward.
+        """Return the step of the wall clock since the last call, in ns.
 
-        It is 0 if the clock was not set.
+        The step is positive if the clock was set forward, and 0 if it was not set.
         """
         for _ in range(_READINGS):
             before = self._monotonic_ns()

@@ -173,8 +173,8 @@ def safe_stop(
     ]
     # The period of the SYNCs before continues, because drives interpolate between them.
     next_ns = max(now_ns, (master.synced_ns or 0) + period_ns)
-    # The number of SYNCs limits the loop too, because time may stand still on a link that cannot be
-    # read.
+    # The number of SYNCs limits the loop too, because the time may not advance on a link that
+    # cannot be read.
     for count in itertools.count():
         if count * period_ns > 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
             break
@@ -318,8 +318,9 @@ def _collect(master: Master, one: _Stopping) -> None:
 
 
 def _sync(master: Master, next_ns: int, held: HeldBack) -> int:
-    """Send SYNC (or wait for that of the other producer), take the answers, and return when the
-    next SYNC is due.
+    """Send SYNC, take the answers, and return when the next SYNC is due, in ns.
+
+    If another producer sends SYNC, the function waits for that SYNC instead.
     """
     link, period_ns = master.link, master.bus.period_ns
     with held:

@@ -1,5 +1,6 @@
-"""`robot-acquire check`: which drives answer, and whether they match the description; go/no-go
-for a recording and for motion.
+"""`robot-acquire check`: go/no-go for a recording and for motion.
+
+The command shows which drives answer, and whether they match the description.
 """
 
 import argparse

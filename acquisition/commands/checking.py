@@ -1,7 +1,7 @@
-"""`robot-acquire check`: which drives answer, whether they match the description, and whether
-the bus carries the load.
+"""Findings of `robot-acquire check` about the drives, the description and the bus load.
 
-Nothing moves and no PDO is configured; objects are read and SYNC is measured.
+The checks find out which drives answer, whether they match the description, and whether the bus
+carries the load. Nothing moves and no PDO is configured; objects are read and SYNC is measured.
 """
 
 import math
@@ -139,7 +139,8 @@ def table(findings: list[Finding]) -> list[str]:
     for finding in findings:
         key = (finding.subject, one_line(finding.found), finding.ok)
         nodes.setdefault(key, []).extend([] if finding.node is None else [str(finding.node)])
-    # Drives that differ in a property stand below each other, so that readers can compare them.
+    # Drives that differ in a property are listed below each other, so that readers can compare
+    # them.
     order = list(dict.fromkeys(subject for subject, _, _ in nodes))
     rows = sorted(
         ((*key, ", ".join(same)) for key, same in nodes.items()),
@@ -177,8 +178,9 @@ def _verdict(findings: list[Finding]) -> str:
 
 
 def refusal(findings: list[Finding]) -> str:
-    """Return the findings that forbid a session, or only `--track`, in one line; empty if none
-    does.
+    """Return the findings that forbid a session, or only `--track`, in one line.
+
+    The line is empty if there are none.
     """
     recording, motion = verdicts(findings).values()
     failed = "the check for --track failed" if recording == "passed" else "the check failed"

@@ -110,8 +110,9 @@ class Program:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command in `arguments` (default: those of the process), and return one of
-        `STATUSES`.
+        """Run the command in `arguments`, and return one of `STATUSES`.
+
+        By default, the arguments are those of the process.
         """
         given = sys.argv[1:] if arguments is None else arguments
         # Imports leave little garbage, and looking for it would take 0.08 s of a fit.

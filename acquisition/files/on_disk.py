@@ -1,5 +1,6 @@
-"""Memory-mapped temporary arrays and bytes, for data that exceed the memory, and functions that
-process them block by block.
+"""Memory-mapped temporary arrays and bytes, for data that exceed the memory.
+
+The functions here process such data block by block.
 """
 
 import mmap
@@ -19,8 +20,10 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 
 class GrowingBytes(tempfile.SpooledTemporaryFile[bytes]):
-    """Bytes that grow by `write`, in memory, or in an unnamed temporary file if they exceed an
-    eighth of `MAX_BYTES_IN_MEMORY`. `write` raises `OSError` if the disk is full.
+    """Bytes that grow by `write`, in memory, or in a temporary file if they are large.
+
+    The file is unnamed. It is used if the bytes exceed an eighth of `MAX_BYTES_IN_MEMORY`. `write`
+    raises `OSError` if the disk is full.
     """
 
     def __init__(self) -> None:
@@ -62,8 +65,10 @@ def allocate(shape: tuple[int, ...], dtype: Any = np.float64, *, many: int = 1) 
 
 
 def kept(x: NDArray[Kind]) -> NDArray[Kind]:
-    """Copy an array that is used for a long time, to disk if it exceeds an eighth of
-    `MAX_BYTES_IN_MEMORY`. Memory that is freed in smaller parts is not returned to the system.
+    """Copy an array that is used for a long time, to disk if it is large.
+
+    An array is large if it exceeds an eighth of `MAX_BYTES_IN_MEMORY`. Memory that is freed in
+    smaller parts is not returned to the system.
     """
     copy = allocate(x.shape, x.dtype, many=8)
     copy[...] = x
@@ -104,8 +109,10 @@ def taken(x: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
-    """Return a field of rows. If the rows exceed `MAX_BYTES_IN_MEMORY`, it is a copy on disk, made
-    in one iteration over them.
+    """Return a field of rows.
+
+    If the rows exceed `MAX_BYTES_IN_MEMORY`, the field is a copy on disk, made in one iteration
+    over the rows.
     """
     return (
         by_rows(lambda part: part[name], rows) if rows.nbytes > MAX_BYTES_IN_MEMORY else rows[name]
@@ -113,8 +120,9 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
 
 
 def release_pages(x: NDArray[np.generic]) -> None:
-    """Release the memory of an array in a temporary file. Its pages are read again at the next
-    access.
+    """Release the memory of an array in a temporary file.
+
+    The pages of the array are read again at the next access.
     """
     base: object = x
     while isinstance(base, np.ndarray | memoryview):

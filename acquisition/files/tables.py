@@ -1,5 +1,6 @@
-"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the file; numbers
-as text.
+"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the file.
+
+The module also formats numbers as text, and writes columns.
 """
 
 import io
@@ -329,8 +330,9 @@ def _walk(variables: dict[str, Any], path: str, place: Location) -> Any:
 
 
 def _part(value: Any, match: re.Match[str], place: Location) -> tuple[Array, bool]:
-    """Return the matrix that a name selects, and whether the name shows that its rows are
-    samples.
+    """Return the matrix that a name selects.
+
+    Also return whether the name shows that the rows of the matrix are samples.
     """
     name = match.string
     if (
@@ -398,8 +400,9 @@ def _leaves(variables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _scan_mat(data: bytes, rows: int, place: Location) -> list[TableColumn]:
-    """Return vectors and columns of matrices with the length that most variables have, and
-    texts.
+    """Return vectors and columns of matrices that have the usual length, and texts.
+
+    The usual length is the one that most variables have.
     """
     leaves = {name: np.squeeze(value) for name, value in _leaves(_load(data, place)).items()}
     numbers = {name: np.atleast_2d(x) for name, x in leaves.items() if x.dtype.kind in "fiu"}

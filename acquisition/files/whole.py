@@ -53,10 +53,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of a file by its first bytes: `mcap`, `json` of a result, `toml` of a robot,
-    `urdf` and others; empty for kinds that are not written here.
+    """Return the kind of a file by its first bytes.
 
-    A damaged recording is recognised by its ending.
+    The kind is `mcap`, `json` of a result, `toml` of a robot, `urdf` or another one. It is empty
+    for kinds that are not written here. A damaged recording is recognised by its ending.
     """
     head = b""
     with suppress(OSError), path.open("rb") as file:
@@ -74,10 +74,10 @@ def is_recording(path: Path) -> bool:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; rename it to `path` if the block ends without an
-    exception.
+    """Yield a temporary path beside `path`, and rename it to `path` after the block.
 
-    After an exception the partial file is removed, and an earlier file at `path` remains.
+    The file is renamed only if the block ends without an exception. After an exception the partial
+    file is removed, and an earlier file at `path` remains.
 
     Raises
     ------
@@ -120,10 +120,10 @@ def refuse_clash(
     option: str = "output",
     of_kinds: Mapping[str, Path | None] | None = None,
 ) -> None:
-    """Refuse outputs that would replace an input, another output, a recording, or a file of another
-    kind.
+    """Refuse outputs that would replace an input, another output or a file to be kept.
 
-    Links to one file count as that file. None is a file that was not requested.
+    The files to be kept are recordings and files of another kind. Links to one file count as that
+    file. None is a file that was not requested.
 
     Parameters
     ----------

@@ -74,14 +74,13 @@ class BagOptions:
 def import_bag(
     bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints are identified by their
-    names.
+    """Write the recording `out` from joint states of a ROS 2 bag.
 
-    Times are the timestamps of the headers, or reception times if headers have none. Values are
-    interpolated to a uniform grid. The recording says that efforts were measured at these times,
-    because a JointState has no commands. The reference comes from the states of a trajectory
-    controller. States at the start are left out as long as a position or an effort is nan: drivers
-    publish nan until they have read a value.
+    Joints are identified by their names. Times are the timestamps of the headers, or reception
+    times if headers have none. Values are interpolated to a uniform grid. In the recording,
+    efforts count as measured at these times, because a JointState has no commands. The reference
+    comes from the states of a trajectory controller. States at the start are left out as long as a
+    position or an effort is nan: drivers publish nan until they have read a value.
 
     Parameters
     ----------
@@ -171,8 +170,9 @@ def _only_controller(
 def _with_reference(
     grid: GridValues, states: JointStates, received: bool, topic: str
 ) -> tuple[GridValues, str]:
-    """Add the reference of a controller to the part of the grid within the times of its states;
-    also return what was done.
+    """Add the reference of a controller to a grid; also return what was done.
+
+    The grid is cut to the times of the controller's states.
     """
     stamps_ns, own_received, own, _ = states.states(topic)
     states.place.require(
@@ -267,8 +267,9 @@ def _storage(path: Path) -> Path:
 def _read(
     path: Path, options: BagOptions, joints: Sequence[str]
 ) -> tuple[JointStates, dict[str, JointStates], str]:
-    """Read the joint states of a bag, those of controllers by topic, and the topic that was
-    chosen.
+    """Read the joint states of a bag; also return those of controllers, and the chosen topic.
+
+    The states of controllers are given by topic.
     """
     wanted, parts = options.reference_topic, JointStates(joints, Location(str(path)))
     try:

@@ -1,6 +1,8 @@
-"""Content of captures: packets of pcap and pcapng files, and the EtherCAT datagrams in them, some
-thousands at a time; and what they reveal about the slaves: stations, sync managers, FMMUs, and the
-mapped objects (CoE).
+"""Content of captures: packets, EtherCAT datagrams, and what they reveal about the slaves.
+
+The packets are those of pcap and pcapng files. The EtherCAT datagrams in them are read some
+thousands at a time. They reveal the slaves' stations, sync managers, FMMUs and mapped objects
+(CoE).
 """
 
 import struct
@@ -61,8 +63,9 @@ class Packets(NamedTuple):
     length: Ints
 
     def records(self, chosen: Ints) -> bytes:
-        """Format some packets as records of pcap with nanoseconds, little-endian, without its
-        head.
+        """Format some packets as records of pcap with nanoseconds, little-endian.
+
+        The head of a pcap file is not included.
         """
         time_ns, begin, length = self.time_ns[chosen], self.begin[chosen], self.length[chosen]
         heads = (
@@ -344,8 +347,9 @@ class Slaves:
         return bytes(self.registers.get(station, b"")), dict(self.written[station].values)
 
     def contradicts(self, other: "Slaves") -> int | None:
-        """Find a station with other contents or another place in the other direction; None without
-        one.
+        """Find a station with other contents or another place in the other direction.
+
+        The result is None if there is no such station.
         """
         ours, theirs = (
             [x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self))
@@ -360,8 +364,9 @@ class Slaves:
         )
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
-        """Locate inputs and outputs by station; `stated` gives the inputs of slaves without a
-        mapping.
+        """Locate inputs and outputs by station.
+
+        `stated` gives the inputs of slaves without a mapping.
 
         Raises
         ------
@@ -380,8 +385,9 @@ class Slaves:
 
 
 def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
-    """Yield logical address, physical address and bytes of the active FMMUs of a way: 1 for inputs,
-    2 for outputs.
+    """Yield logical address, physical address and number of bytes of the active FMMUs.
+
+    They are those of a way: 1 for inputs, 2 for outputs.
     """
     for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(
         registers[_FMMUS : _FMMUS + 256]
@@ -391,8 +397,9 @@ def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
 
 
 def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:
-    """Yield object, first byte and bytes of consecutive entries, without gaps and parts of
-    bytes.
+    """Yield object, first byte and number of bytes of consecutive entries.
+
+    Gaps and parts of bytes are left out.
     """
     bit = 0
     for key, bits in entries:

@@ -52,11 +52,10 @@ _MAX_ECHO = 0.25  # largest time between the two records of one frame, in period
 def import_recording(
     path: Path, out: Path, robot: Robot | None = None, place: str = ""
 ) -> ImportSummary:
-    """Write a recording again: samples decoded from its frames, and everything before the
-    truncation if it is truncated.
+    """Write a recording again, with samples decoded from its frames.
 
-    Without `robot`, samples of a truncated recording are copied if there are no frames, or if these
-    do not decode.
+    If the recording is truncated, everything before the truncation is written. Without `robot`,
+    samples of a truncated recording are copied if there are no frames, or if these do not decode.
 
     Parameters
     ----------
@@ -178,8 +177,9 @@ def import_log(
 
 
 def _select_interface(path: Path, channel: str) -> tuple[Block, tuple[str, ...]]:
-    """Return the frames of one bus in a log, and a warning about the others: two buses would give
-    two samples for each SYNC.
+    """Return the frames of one bus in a log, and a warning about the other buses.
+
+    Two buses would give two samples for each SYNC.
     """
     frames, others = read_log(path)
     names = {name: f"CAN {name}" if name.isdecimal() else name for name in frames}
@@ -234,8 +234,10 @@ def _in_order(frames: Block, bus: BusFile, place: str) -> tuple[Block, tuple[str
 
 
 def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
-    """Shift the times (m,) in place where they wrap, or where the SYNCs in these rows show that the
-    clock was set back; yield what was done.
+    """Shift times (m,) in place where they wrap or the clock was set back.
+
+    The times of the rows `syncs` show whether the clock was set back. The function yields what was
+    done.
     """
     size = np.diff(time_ns)
     jumps = np.flatnonzero(np.abs(size) > min(_WRAPS) - _MAX_WRAP_NS)
@@ -261,8 +263,9 @@ def _go_on(time_ns: Ints, syncs: Rows, place: Location) -> Iterator[str]:
 
 
 def _echoes(frames: Block, bus: BusFile) -> Ints:
-    """Find received rows that repeat one sent within a quarter of a period and equal it in all
-    else, as echoes and requests do.
+    """Find received rows that repeat a sent row, as echoes and requests do.
+
+    The two rows are within a quarter of a period of each other, and equal in all else.
     """
     sent = frames["flags"] & SENT > 0
     rows = np.flatnonzero(
@@ -286,8 +289,9 @@ def _echoes(frames: Block, bus: BusFile) -> Ints:
 def _decode_checked(
     frames: Block, robot: Robot, name: str, place: str, told: tuple[str, ...] = ()
 ) -> Decoded:
-    """Decode samples from frames, and refuse impossible positions. Their warnings come after
-    `told`, those about the frames.
+    """Decode samples from frames, and refuse impossible positions.
+
+    The warnings about the frames, `told`, come before those about samples and positions.
     """
     frames, bus = resolve_mapped(frames, robot, place)
     decoded = decode(frames, robot, bus, name)

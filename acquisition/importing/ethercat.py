@@ -1,8 +1,8 @@
-"""Import of a capture of an EtherCAT bus in operation: frames → joint samples at the times of
-cycles.
+"""Import of a capture of an EtherCAT bus in operation.
 
-Nothing is ever sent. In each cycle the master's datagrams pass all slaves and come back. The slaves
-write their inputs to them, read their outputs, and count in the working counter:
+The frames are converted to joint samples at the times of cycles. Nothing is ever sent. In each
+cycle the master's datagrams pass all slaves and come back. The slaves write their inputs to them,
+read their outputs, and count in the working counter:
 
     captures        packets in the order of their times, and the datagrams in them; logical address
                     of each object that a slave maps, by its FMMUs and by CoE
@@ -79,8 +79,9 @@ def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
 def _numbers(
     time_ns: Ints, period_ns: float, row: int, reached: float
 ) -> tuple[Ints, Bools, Array]:
-    """Number cycles as `cycle_numbers`; also return the cycles without a row before each row, of
-    which there are `reached` at `row`.
+    """Number cycles as `cycle_numbers` does; also return how many have no row.
+
+    The count is that of the cycles without a row before each row. It is `reached` at `row`.
     """
     k = np.arange(len(time_ns))
     late = (time_ns - time_ns[0]) / period_ns - k
@@ -175,8 +176,9 @@ def import_capture(
 
 
 def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
-    """Yield the chosen rows with their timestamps, some at a time; their targets are those of the
-    cycle before, which the drives had then.
+    """Yield the chosen rows with their timestamps, some at a time.
+
+    The targets of a row are those of the cycle before, because the drives had these targets then.
     """
     for first in range(0, len(chosen), AT_ONCE):
         some = chosen[first : first + AT_ONCE]

@@ -25,8 +25,9 @@ MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers, in quanta
 
 
 class JointStates:
-    """Collector of joint states. Messages of one publisher have one frame, and names of all
-    joints.
+    """Collector of joint states.
+
+    Messages of one publisher have one frame, and the names of all joints.
     """
 
     def __init__(self, joints: Sequence[str], place: Location) -> None:
@@ -97,10 +98,9 @@ class JointStates:
         Location(f"{self.place}: message {self.count}").refuse(text=problem, advice=advice)
 
     def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
-        """Return timestamps (N,) in ns, whether they are reception times, arrays (N, n), and
-        warnings.
+        """Return timestamps (N,) in ns, whether these are reception times, arrays, and warnings.
 
-        Timestamps are reception times if headers have none.
+        The arrays have the shape (N, n). Timestamps are reception times if headers have none.
         """
         if self.refused is not None:
             raise self.refused
@@ -179,8 +179,9 @@ def _refuse_infinite(
 def refuse_several_publishers(
     position: Array, effort: Array, joints: list[str], place: Location
 ) -> None:
-    """Refuse alternating states of two publishers: single rows without effort, or every other row
-    far from its neighbours.
+    """Refuse alternating states of two publishers.
+
+    Either single rows have no effort, or every other row is far from its neighbours.
     """
     least = MIN_PUBLISHER_QUANTA * smallest_difference(effort)
     large = by_rows(lambda x: (np.abs(x) > least).any(axis=1), effort) > 0
@@ -203,11 +204,11 @@ def refuse_several_publishers(
 
 
 def _alternating_share(x: Array) -> Array:
-    """Compute the share (n,) of windows of x (N, n) whose second differences have far more energy
-    at the Nyquist frequency than at half of it.
+    """Compute the share (n,) of windows of x (N, n) that alternate from row to row.
 
-    Rounded values sometimes alternate by one quantum, so several quanta are required. Values that
-    are held for a row, as of an encoder slower than the log, do not alternate.
+    The second differences of such a window have far more energy at the Nyquist frequency than at
+    half of it. Rounded values sometimes alternate by one quantum, so several quanta are required.
+    Values that are held for a row, for example by an encoder slower than the log, do not alternate.
     """
     least, rows = smallest_difference(x), max(0, len(x) - 2) // WINDOW * WINDOW
     found = sum(

@@ -59,13 +59,11 @@ class Part(NamedTuple):
 
 
 class ProcessData:
-    """Collector of the configuration of the slaves, and of the integers of the drives in process
-    data.
-    """
+    """Collector of the slaves' configuration, and of the drives' integers in process data."""
 
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Location) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
-        # The slaves are known by datagrams that came back (True), and by those that went out.
+        # The slaves are found by datagrams that came back (True), and by those that went out.
         self._slaves = {True: Slaves(), False: Slaves()}
         self._fields: dict[Part, Fields] = {}
         self._columns: dict[Part, GrowingBytes] = {}
@@ -128,8 +126,9 @@ class ProcessData:
         )
 
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
-        """Extract rows of the datagrams of a part. A 32-bit time of a clock is below 2**32, and -1
-        is none.
+        """Extract rows of the datagrams of a part.
+
+        A 32-bit time of a clock is below 2**32. The time is -1 if there is none.
         """
         rows = np.empty(len(found), self._row(part))
         rows["packet"] = found["packet"] + self._packets
@@ -147,8 +146,10 @@ class ProcessData:
         return rows
 
     def _find_fields(self) -> dict[Part, Fields]:
-        """Find the drives' objects, each in its `station` or in the next slave with its position;
-        empty if they are not yet known.
+        """Find the drives' objects in process data.
+
+        The objects of a drive are in its `station`, or in the next slave with its position. The
+        result is empty if they are not yet known.
         """
         self._why = "no mapping of inputs was captured"
         try:
@@ -204,8 +205,9 @@ class ProcessData:
         at: tuple[int, int],
         commands: tuple[int, int],
     ) -> None:
-        """Add the place of an object, at an address and with its bytes, in the datagrams seen
-        most.
+        """Add the place of an object in the datagrams that were seen most.
+
+        `at` is the address of the object, and its number of bytes.
         """
         (address, size), back = at, LRD in commands
         parts = [
@@ -243,17 +245,16 @@ class ProcessData:
 
     @property
     def unanswered(self) -> bool:
-        """Whether the mapping is what the master wrote, in a capture without any answer."""
+        """True if the mapping is what the master wrote, in a capture without any answer."""
         return bool(self._slaves[True].written) and not self._slaves[True].answered
 
     def rows(self) -> tuple[Block, bool]:
-        """Return rows of the cycles with full counters, and whether most have a time by distributed
-        clocks.
+        """Return rows of the cycles with full counters, and whether most have a clock's time.
 
-        A row has timestamp, time by distributed clocks (-1: none), position, effort and target
-        (n,); `known` if the target is the one that was sent in the cycle. If most rows have a time
-        by distributed clocks, the others are left out. Segments of `AT_ONCE` rows are joined, for
-        long captures.
+        The clock's time is that by distributed clocks. A row has timestamp, time by distributed
+        clocks (-1: none), position, effort and target (n,); `known` if the target is the one that
+        was sent in the cycle. If most rows have a time by distributed clocks, the others are left
+        out. Segments of `AT_ONCE` rows are joined, for long captures.
         """
         station = self._slaves[True].contradicts(self._slaves[False])
         self._place.require(
@@ -339,8 +340,10 @@ class ProcessData:
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
     def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
-        """Remove rows whose timestamps do not fit others, or that repeat one within half a period;
-        also return the packets of the latter.
+        """Remove rows out of order and repeated rows; also return the packets of the latter.
+
+        The timestamp of a row out of order does not fit those of others. A repeated row repeats the
+        row before within half a period.
         """
         time_ns = rows["time_ns"]
         again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2

@@ -1,5 +1,6 @@
-"""Proposal of the map.toml of a table, by its header and first rows; `FILL IN` marks what is
-open.
+"""Proposal of the map.toml of a table, by its header and first rows.
+
+`FILL IN` marks what is open.
 """
 
 import json
@@ -177,8 +178,9 @@ def _columns(
 
 
 def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
-    """Group columns, one per joint, by quantity and source (and motor side); an ambiguous group is
-    a text.
+    """Group columns, one per joint, by quantity and source (and motor side).
+
+    An ambiguous group is a text.
     """
     members: dict[tuple[str, str], list[_Column]] = {}
     for c in columns:
@@ -242,8 +244,9 @@ def _one_per_joint(
 def _only(
     groups: Groups, kinds: Sequence[str], size: int = 0, source: str = "measured"
 ) -> tuple[list[_Column], str]:
-    """Return the only group of these kinds that is measured or has no source, or the reason why
-    there is none; `size` is the number of position columns.
+    """Return the only group of these kinds that is measured or has no source.
+
+    If there is no such group, the text is the reason. `size` is the number of position columns.
     """
     found = [
         group

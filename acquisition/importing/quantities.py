@@ -111,12 +111,11 @@ class Source:
     def _without_jumps(
         self, key: str, quantity: Angles, units: Sequence[str], x: Array, side: Side
     ) -> Array:
-        """Remove jumps by a turn from values x (N, n) if the map asks for it; angles are then about
-        0.
+        """Remove jumps by a turn from values x (N, n) if the map asks for it.
 
-        Jumps are refused that the map does not declare, that may be motion, or that are those of a
-        motor: its turns before the first row are unknown, and turn the joint unless the ratio is a
-        whole number.
+        The angles are then about 0. Jumps are refused that the map does not declare, that may be
+        motion, or that are those of a motor: its turns before the first row are unknown, and turn
+        the joint unless the ratio is a whole number.
         """
         angles, of_motor = np.array(units) == "rad", np.linalg.inv(self.robot.R)
         unwrapped = np.where(angles, np.unwrap(x, axis=0), x)
@@ -146,8 +145,9 @@ class Source:
         return self.robot.joint_velocity(values) if side == "motor" else values
 
     def effort(self, key: str, quantity: Quantity) -> tuple[Array, str, str]:
-        """Read joint efforts (N, n) in the robot's units; also return their origin, and unit and
-        side.
+        """Read joint efforts (N, n) in the robot's units.
+
+        Also return their origin as a text, and their unit and side as another.
         """
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, f"{key}.unit", self.place)
@@ -215,8 +215,9 @@ class Source:
 
 
 def turn_jumps(x: Array, turn: float) -> Bools:
-    """Find steps (N - 1, n) of angles x (N, n) within a turn that are a turn, to a quarter of
-    it.
+    """Find steps (N - 1, n) of angles x (N, n) that are a turn, to a quarter of it.
+
+    Only angles within a turn are considered.
     """
     return np.asarray(
         (np.abs(np.abs(np.diff(x, axis=0)) / turn - 1) < 0.25)
@@ -266,8 +267,9 @@ def _side_or_joint(side: Side | None, same: bool, key: str, place: Location) -> 
 def effort_side(
     robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Location
 ) -> Side:
-    """Return the side of efforts in the units `given` for `key`; by default the one whose units
-    match.
+    """Return the side of efforts in the units `given` for `key`.
+
+    By default, it is the side whose units match.
     """
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if given == expected[side]]
@@ -289,8 +291,9 @@ def effort_side(
 
 
 def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str]:
-    """Convert values (N, n) in the units of their side to joint efforts (N, n); also return the
-    rule as text.
+    """Convert values (N, n) in the units of their side to joint efforts (N, n).
+
+    Also return the rule as text.
     """
     units = join_units(robot.effort_units)
     if side == "joint":

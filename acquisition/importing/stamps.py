@@ -1,5 +1,6 @@
-"""Errors in the times of rows: found by the motion, as an error of time moves a position off its
-path by speed x error; and steps back of a clock.
+"""Errors in the times of rows, and steps back of a clock.
+
+Errors are found by the motion, as an error of time shifts a position off its path by speed x error.
 """
 
 from collections.abc import Iterator
@@ -76,10 +77,10 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
 
 
 def bursts(stamp_s: Array) -> tuple[float, float]:
-    """Return the step of rows with timestamps (N,), and the time between bursts, 0 if there are
-    none.
+    """Return the step of rows with timestamps (N,), and the time between bursts.
 
-    The step is the median one, or the mean one if timestamps come in bursts.
+    The time between bursts is 0 if there are none. The step is the median one, or the mean one if
+    timestamps come in bursts.
     """
     steps = np.diff(stamp_s)
     longer = steps[steps > steps.mean()]
@@ -231,8 +232,9 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
 
 
 def smallest_difference(q: Array) -> Array:
-    """Return the smallest difference (n,) of two positions q (N, n) above rounding; infinite for
-    joints that do not move.
+    """Return the smallest difference (n,) of two positions q (N, n) above rounding.
+
+    It is infinite for joints that do not move.
     """
     return np.array(
         [
@@ -256,16 +258,18 @@ def row_numbers(time_s: Array) -> Array:
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Compute the error of time (n,) that explains the rms distance of q (N, n) from the cubics
-    through four neighbours.
+    """Compute the error of time (n,) that explains how far q (N, n) is off its path.
+
+    The path is given by the cubics through four neighbours. The distance from them is an rms value.
     """
     off, size = _neighbour_deviation(time_s, q)
     return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
 def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
-    """Compute the distance of q (N, n) from the cubic through two rows before and two after, and
-    its standard deviation for unit noise.
+    """Compute the distance of q (N, n) from the cubic through two rows before and two after.
+
+    Also return its standard deviation for unit noise.
     """
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)

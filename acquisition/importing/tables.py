@@ -57,8 +57,9 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of
-    the samples.
+    """Structure of `map.toml`: columns of a table, and the rate or the times of the samples.
+
+    The columns are those of positions, efforts and other quantities.
     """
 
     position: Annotated[Angles, note("columns of the positions")]
@@ -139,15 +140,17 @@ def import_tables(
 
 
 def lines_to_fill_in(content: bytes) -> list[int]:
-    """Return the numbers of the lines of a map with `FILL_IN`, except the first line, which
-    explains it.
+    """Return the numbers of the lines of a map with `FILL_IN`.
+
+    The first line, which explains it, does not count.
     """
     return [k for k, line in enumerate(content.splitlines()[1:], 2) if FILL_IN.encode() in line]
 
 
 def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, str]:
-    """Read all quantities of the map, at the joint (feed-forward: at the motor); also return
-    origin, and unit and side, of the efforts.
+    """Read all quantities of the map, at the joint (feed-forward: at the motor).
+
+    Also return the origin of the efforts as a text, and their unit and side as another.
     """
     parts = {"position": source.position("position", table_map.position)}
     parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
@@ -233,8 +236,9 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
-    """Return the times (N,) of the rows by timestamps or ticks; and the scatter of the timestamps
-    about the ticks in s, None without both.
+    """Return the times (N,) of the rows by timestamps or ticks, and their scatter.
+
+    The scatter is that of the timestamps about the ticks in s. It is None without both.
     """
     place = source.place
     place.require(
@@ -307,8 +311,9 @@ def _column(source: Source, time: Time, name: str | int, parts: Mapping[str, Arr
 
 
 def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Location) -> float:
-    """Compute the standard deviation of timestamps about the times of ticks in s; refuse a wrong
-    tick.
+    """Compute the standard deviation of timestamps about the times of ticks in s.
+
+    The function refuses a wrong tick.
     """
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
     place.require(
@@ -322,8 +327,9 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Locatio
 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
-    """Write the joint samples of a recording as CSV in SI, with units in the names, whole or not at
-    all.
+    """Write the joint samples of a recording as CSV in SI.
+
+    Names of columns have units. The file is written whole or not at all.
 
     Parameters
     ----------

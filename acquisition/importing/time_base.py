@@ -200,11 +200,10 @@ def resample(
 
 
 def interpolate(time_s: Array, x: Array, at_s: Array) -> Array:
-    """Interpolate x (N, n) at the growing times (N,) to the growing times at_s (M,), by cubic
-    splines.
+    """Interpolate x (N, n) at the growing times (N,) to the growing times at_s (M,).
 
-    This runs block by block: the rows of hours do not fit in memory with the coefficients of their
-    splines.
+    The curves are cubic splines. This runs block by block: the rows of hours do not fit in memory
+    with the coefficients of their splines.
     """
     from scipy.interpolate import CubicSpline
 
@@ -272,8 +271,10 @@ def _drop_repeated_rows(
 
 
 def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
-    """Estimate the rate of growing times (N,) of numbered `rows` (N,), or of consecutive ones,
-    rounded within their scatter: 1000, not 1000.0013.
+    """Estimate the rate in Hz of growing times (N,), rounded within their scatter.
+
+    `rows` (N,) numbers the times, which are consecutive without it. A rate is 1000, for example,
+    not 1000.0013.
     """
     rows = row_numbers(time_s) if rows is None else rows
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
@@ -282,8 +283,9 @@ def roundest_rate_hz(time_s: Array, rows: Array | None = None) -> float:
 
 
 def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
-    """Return the rate rounded to the fewest digits within the relative `scatter`, which is limited
-    to `most` and to rounding.
+    """Return the rate rounded to the fewest digits within the relative `scatter`.
+
+    The scatter is limited to `most` and to rounding.
     """
     within = min(max(scatter, 1e-12), most)
     return next(
@@ -292,8 +294,9 @@ def roundest(rate_hz: float, scatter: float, most: float = np.inf) -> float:
 
 
 def rate_warnings(report: TimeReport) -> list[str]:
-    """Return warnings about a grid that is coarser or much finer than the rows, and about many rows
-    left out.
+    """Return warnings about the rate of a grid, and about rows left out.
+
+    They are about a grid that is coarser or much finer than the rows, and about many rows left out.
     """
     if report.grid_hz is None:
         return []
@@ -316,8 +319,9 @@ def rate_warnings(report: TimeReport) -> list[str]:
 
 
 def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Location) -> GridValues:
-    """Return values (N, n) at times (N,) that lie on a uniform grid; refuse times that do not grow
-    or leave the grid.
+    """Return values (N, n) at times (N,) that lie on a uniform grid.
+
+    The function refuses times that do not grow or that leave the grid.
     """
     advice = "Set time.resample_hz to interpolate the rows to a uniform grid"
     steps = np.diff(time_s)

@@ -186,8 +186,9 @@ class EffortCodec:
         return np.asarray(raw * self.scale, dtype=np.float64)
 
     def raw(self, value: Array) -> Ints:
-        """Convert efforts to the nearest raw integers, limited to the range of the type as in a
-        drive.
+        """Convert efforts to the nearest raw integers.
+
+        They are limited to the range of the type, as in a drive.
         """
         return saturated(value / self.scale, self.entry.type)
 
@@ -228,8 +229,8 @@ class PositionCodec:
 def object_type(index: int, sub: int) -> str:
     """Return the type of an object, of any axis.
 
-    The type of an object that is not known here is U8 for the count of a record of CiA 301, and U32
-    for all others.
+    The type of an object that is not listed here is U8 for the count of a record of CiA 301, and
+    U32 for all others.
     """
     # These are the communication parameters of PDOs.
     if index & 0xFE00 in (0x1400, 0x1800):

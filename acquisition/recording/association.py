@@ -203,11 +203,11 @@ def _answers(
 
 
 def _in_order(progress: _Progress, unusual: Bools) -> Bools:
-    """Find edges at which no answer is pending: in runs of intervals with one PDO of every drive,
-    none of which is unusual.
+    """Find edges at which no answer is pending.
 
-    Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they
-    catch up. So the longest such run that is seen, and one interval more, proves nothing.
+    They are in runs of intervals with one PDO of every drive, none of which is unusual. Late
+    drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
+    So the longest such run that is seen, and one interval more, proves nothing.
     """
     caught_up, alone = progress.caught_up, progress.alone & ~unusual
     both = alone & caught_up[1:] & caught_up[:-1]
@@ -228,8 +228,9 @@ def _in_a_row(values: Bools, count: int) -> Ints:
 
 
 def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
-    """Return the edges between stretches, and which stretches have as many PDOs as SYNCs, because
-    no balance has changed.
+    """Return the edges between stretches, and which stretches have as many PDOs as SYNCs.
+
+    These have as many because no balance has changed.
     """
     starts = np.flatnonzero(proven).astype(np.int32)
     unchanged = np.ones(len(proven), np.bool_)
@@ -246,8 +247,10 @@ def _cuts(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
 def _late(
     progress: _Progress, unusual: Bools, proven: Bools, cuts: Rows, damaged: Bools, again: Rows
 ) -> tuple[Bools, Bools]:
-    """Find stretches in which PDOs are late between two proven edges, and those of them within
-    reach of an interval (k,) that is `damaged`, or in which a PDO came `again`.
+    """Find stretches in which PDOs are late between two proven edges.
+
+    Also find those of them within reach of an interval (k,) that is `damaged`, or in which a PDO
+    came `again`.
     """
     # If a drive seems to be late but answers at its usual time again and again, it is more likely
     # that one PDO was lost and another came twice.

@@ -1,5 +1,6 @@
-"""The container of a recording, whole or truncated: reading, and the checks of its version and of
-every checksum, but not of the meaning of its messages.
+"""The container of a recording, whole or truncated.
+
+It is read, and its version and every checksum are checked, but not the meaning of its messages.
 
 The readers of mcap are not used: they raise the same errors for truncation and for damage, do not
 check the CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
@@ -60,14 +61,16 @@ _DAMAGE = (
 
 
 class _ForeignError(ValueError):
-    """Content that another program may write, and that is neither a recording of this package nor
-    damage.
+    """Content that another program may write, and that is not a recording of this package.
+
+    Such content is not damage either.
     """
 
 
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in ns, and
-    their contents.
+    """Messages of one topic, in file order.
+
+    They have the text of their schema, their log times in ns, and their contents.
     """
 
     def __init__(self, layout: str) -> None:
@@ -144,8 +147,10 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
 
 
 class Content:
-    """Content of the records so far: the metadata record `recording` (None without it), attachments
-    by name, messages by topic of `READ_TOPICS`; `complete` after the last record with data.
+    """Content of the records so far.
+
+    `recording` is the metadata record, or None without it. Attachments are given by name, and
+    messages by topic of `READ_TOPICS`. `complete` is True after the last record with data.
     """
 
     def __init__(self, place: str) -> None:
@@ -166,8 +171,9 @@ class Content:
         return taken
 
     def add(self, opcode: int, content: bytes, crc_before: int | None = None) -> None:
-        """Add a record. Raise one of `_DAMAGE` if it is wrong; `crc_before` is the CRC of all bytes
-        before it, if known.
+        """Add a record; raise one of `_DAMAGE` if it is wrong.
+
+        `crc_before` is the CRC of all bytes before it, if known.
         """
         if opcode == Opcode.METADATA:
             record = mcap.records.Metadata.read(_stream(content))
@@ -220,10 +226,10 @@ class Content:
 
 
 class GrowingContent(Content):
-    """Content of a file that another program is writing, without a lock. `read` adds the records
-    since the last call.
+    """Content of a file that another program is writing, without a lock.
 
-    It raises `BadInputError` if the file is not one that is being written, or is damaged.
+    `read` adds the records since the last call. It raises `BadInputError` if the file is not one
+    that is being written, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -259,7 +265,7 @@ class GrowingContent(Content):
 
 
 class _Records:
-    """The complete records of a file, one at a time, as of `_records`."""
+    """The complete records of a file, one at a time, as `_records` yields them."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file

@@ -316,10 +316,9 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
 def _targets(
     traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus
 ) -> list[Rows] | None:
-    """Return the frame of each drive's last target before the SYNC of a sample, -1 if there is
-    none.
+    """Return the frame of each drive's last target before the SYNC of a sample.
 
-    None if a drive receives none or few.
+    The frame is -1 if there is none. The result is None if a drive receives no or few targets.
     """
     # The k-th entry is the grid index of the SYNC that follows k SYNC frames.
     targets, following = [], np.append(index_of, index_of[-1] + 1)

@@ -80,8 +80,9 @@ def measured_rows(rows: Block | Mapping[str, Array], robot: Robot) -> tuple[Bool
 
 
 def _lost_and_filled(q: Array, effort: Array, robot: Robot) -> tuple[Bools, Bools]:
-    """Find rows (N,) whose efforts (N, n), at the joints as the positions q (N, n), were lost, and
-    rows that were filled in.
+    """Find rows (N,) whose efforts were lost, and rows that were filled in.
+
+    The efforts (N, n) are given at the joints, as are the positions q (N, n).
     """
     to_motors, lost = np.linalg.inv(robot.R), np.zeros(len(q), dtype=bool)
     motor, zero = by_rows(lambda x: x @ to_motors, effort), by_rows(lambda x: x == 0, effort)

@@ -1,11 +1,10 @@
-"""Reading of recordings; writing of changed copies; and following of a recording while it is
-written.
+"""Reading of recordings, writing of changed copies, and following of a growing recording.
 
-A file without its end is read up to there. A growing one is followed from the file alone: new rows,
-events and counters. The last seconds of its frames are decoded again with each block. Rows are
-returned once, when later frames cannot change them any more: PDOs that are late at the end of a
-block are awaited, and behind a gap and where PDOs are late as many SYNCs as `associate` looks
-ahead.
+A recording grows while it is written. A file without its end is read up to there. A growing one is
+followed from the file alone: new rows, events and counters. The last seconds of its frames are
+decoded again with each block. Rows are returned once, when later frames cannot change them any
+more: PDOs that are late at the end of a block are awaited, and behind a gap and where PDOs are late
+as many SYNCs as `associate` looks ahead.
 """
 
 import json
@@ -108,8 +107,9 @@ class Recording:
 
     @property
     def began(self) -> datetime | None:
-        """Start of the recording: its first timestamp if timestamps are dates, otherwise the
-        creation of its file; None if unknown.
+        """Start of the recording; None if unknown.
+
+        It is the first timestamp if timestamps are dates, otherwise the creation of the file.
         """
         if self.samples is not None and (self.samples["stamp_ns"][:1] >= FIRST_DATE_NS).any():
             return datetime.fromtimestamp(int(self.samples["stamp_ns"][0]) // 1000 / 1e6, UTC)
@@ -301,10 +301,9 @@ def _payload(metadata: Mapping[str, str], place: Location) -> Payload | None:
 def rewritten(
     recording: Recording, header: Header, out: Path, *, without: str = ""
 ) -> Iterator[RecordingWriter]:
-    """Copy frames, health and events (except those of the kind `without`) of a recording; the block
-    writes the samples.
+    """Copy frames, health and events of a recording; the block writes the samples.
 
-    `out` is written whole or not at all.
+    Events of the kind `without` are left out. `out` is written whole or not at all.
     """
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():

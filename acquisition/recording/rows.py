@@ -1,5 +1,7 @@
-"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes, and their checks; frames
-by PDO, and the PDO mapping that they contain; samples from the integers of drives.
+"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes, and their checks.
+
+The module also finds frames by PDO, and the PDO mapping that they contain. It makes samples from
+the integers of drives.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -43,8 +45,9 @@ Rows = NDArray[np.int32]
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """A gap of `missing` samples between row `row` and the next, at `stamp_ns` of row `row`; `late`
-    if only SYNC was late.
+    """A gap of `missing` samples between row `row` and the next.
+
+    The gap is at `stamp_ns`, the timestamp of row `row`. `late` is True if only SYNC was late.
     """
 
     row: int
@@ -60,8 +63,10 @@ OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
 def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> np.dtype[np.void]:
-    """Return the dtype of a row of samples of `n` joints: `stamp_ns`; `position`, `effort`,
-    `reference` and fields of `OPTIONAL`, (n,) each.
+    """Return the dtype of a row of samples of `n` joints.
+
+    The fields are `stamp_ns`, and `position`, `effort`, `reference` and fields of `OPTIONAL`, (n,)
+    each.
     """
     names = [
         "position",
@@ -164,8 +169,9 @@ class Traffic:
         )
 
     def of(self, pdo: Pdo) -> tuple[Rows, int]:
-        """Return the rows of the frames that contain the whole PDO, and the number of those that
-        are too short.
+        """Return the rows of the frames that contain the whole PDO.
+
+        Also return the number of those that are too short.
         """
         rows = self.rows_of(pdo.can_id)
         whole = self.at("length", rows) >= pdo.length

@@ -110,8 +110,9 @@ def _own_syncs(recording: Recording) -> Ints | None:
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
-    """Compute the standard and largest deviation of the steps between samples from the median in s,
-    without gaps.
+    """Compute the standard and largest deviation of steps between samples from their median.
+
+    They are in s. Gaps are left out.
     """
     steps = np.diff(stamps).astype(np.float64)
     if not len(steps):

@@ -160,11 +160,11 @@ def _remove_delays(index: Ints, since: Array, period: float) -> tuple[Array, Int
 
 
 def _freed(deviation: Array, period: float, ahead: int) -> tuple[Array, Ints]:
-    """Remove the delays that the next `ahead` SYNCs reveal from deviations; also return the run of
-    each SYNC: after a step that lasts there is another one.
+    """Remove the delays that the next `ahead` SYNCs reveal; also return the run of each SYNC.
 
-    A step to later times is a pause, or a SYNC was not recorded. A step to earlier times, which
-    would make all SYNCs before it late, is an additional SYNC or another timer.
+    The delays are removed from the deviations. After a step that lasts there is another run. A step
+    to later times is a pause, or a SYNC was not recorded. A step to earlier times, which would make
+    all SYNCs before it late, is an additional SYNC or another timer.
     """
     (few, most), least = _LOOKAHEAD_SYNCS, minimum_ahead(deviation, ahead)
     # The last SYNCs before a pause keep their delays, because no later SYNC of the run bounds them.
@@ -189,8 +189,9 @@ def _mean_of_run(values: Array | Ints, run: Ints) -> Array | float:
 
 
 def _slope(index: Ints, since: Array, run: Ints) -> float:
-    """Fit the slope over the index by least squares, one for all runs; each run has its own
-    offset.
+    """Fit the slope over the index by least squares, one for all runs.
+
+    Each run has its own offset.
     """
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
@@ -235,10 +236,10 @@ def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
 
 
 def usual_period(times: Ints, nominal_ns: int) -> float:
-    """Estimate the period of recorded SYNCs in ns: the median of single steps, of some in a row and
-    of the whole, whichever is nearest to the nominal one.
+    """Estimate the period of recorded SYNCs in ns.
 
-    Lost SYNCs and pauses lengthen long steps, and bursts make single steps short.
+    It is the median of single steps, of some in a row or of the whole, whichever is nearest to the
+    nominal period. Lost SYNCs and pauses lengthen long steps, and bursts make single steps short.
     """
     found = (
         float(np.median(times[n:] - times[:-n])) / n
@@ -389,8 +390,9 @@ def sync_steps(syncs: Syncs, pdos: Sequence[Rows], times_of: Callable[[Rows], In
 
 
 def _lasting_periods(times: Ints, period: float) -> Array:
-    """Compute the periods from each SYNC to the next that last: the next steps make up for a
-    delay.
+    """Compute the lasting periods from each SYNC to the next.
+
+    A delay does not last, because the next steps make up for it.
     """
     index = np.arange(len(times))
     even, _ = _remove_set_back(times, index)
@@ -401,8 +403,9 @@ def _lasting_periods(times: Ints, period: float) -> Array:
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
-    """Count the periods from each SYNC frame to the next by the counter in them (object 1019h),
-    which runs from 1 to its overflow value.
+    """Count the periods from each SYNC frame to the next by the counter in the frames.
+
+    The counter (object 1019h) runs from 1 to its overflow value.
     """
     top, steps = int(counter.max()), np.ones(len(counter), np.int32)
     if top > 1:

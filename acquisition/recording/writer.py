@@ -1,10 +1,10 @@
-"""Writing of a recording, one MCAP file with everything that a fit needs; definitions that writer
-and reader share.
+"""Writing of a recording, one MCAP file with everything that a fit needs.
 
-The guide on recordings has a table of the channels. The metadata record `recording` and the
-attachments (`robot.toml`, the URDF) are written before the data, so that a file without its end can
-be read. Blocks are numpy rows, which need far less space than a message per row; the text of their
-schema is the numpy dtype's `descr`.
+The module also has the definitions that writer and reader share. The guide on recordings has a
+table of the channels. The metadata record `recording` and the attachments (`robot.toml`, the URDF)
+are written before the data, so that a file without its end can be read. Blocks are numpy rows,
+which need far less space than a message per row; the text of their schema is the numpy dtype's
+`descr`.
 """
 
 import json
@@ -203,8 +203,9 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
                 self._joint_states("/joint_states/reference", shown, "reference", False)
 
     def columns(self, stamp_ns: Array | Ints, values: Mapping[str, Array]) -> None:
-        """Add samples at timestamps (N,) of `values` (N, n) by field, block by block: hours of them
-        do not fit in memory.
+        """Add samples at timestamps (N,) of `values` (N, n) by field, block by block.
+
+        The samples of hours do not fit in memory.
         """
         layout = sample_dtype(self._robot.n, reference="reference" in values, optional=values)
         for first in range(0, len(stamp_ns), BLOCK_ROWS):
@@ -232,8 +233,9 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
                 self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
-        """Add records of pcap. All of them form a pcap file with nanoseconds, whose head is in the
-        first ones.
+        """Add records of pcap.
+
+        All of them form a pcap file with nanoseconds, whose head is in the first ones.
         """
         self._add(
             CAPTURE_TOPIC,
@@ -256,14 +258,16 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         )
 
     def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:
-        """Add the recorder's counters. A value that is not finite is stored as null and read as
-        NaN.
+        """Add the recorder's counters.
+
+        A value that is not finite is stored as null and read as NaN.
         """
         self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write everything so far to the file, where other programs see it; with `sync` to the
-        disk.
+        """Write everything so far to the file, where other programs see it.
+
+        With `sync`, everything is written to the disk, too.
         """
         self._writer.flush()
         self._file.flush()

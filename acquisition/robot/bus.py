@@ -205,8 +205,9 @@ class DriveFile(TomlTable, frozen=True):
 
     @property
     def extra_objects(self) -> tuple[str, ...]:
-        """Names in `extra`. In older recordings these are tables, with the name and scale of a
-        column of samples.
+        """Names in `extra`.
+
+        In older recordings these are tables, with the name and scale of a column of samples.
         """
         return tuple(
             extra if isinstance(extra, str) else str(extra.get("object", ""))
@@ -215,8 +216,9 @@ class DriveFile(TomlTable, frozen=True):
 
     @property
     def reports_demand(self) -> bool:
-        """Whether the effort is a torque demand value (6074h of any axis), which is that of one
-        control step.
+        """True if the effort is a torque demand value (6074h of any axis).
+
+        This value is that of one control step.
         """
         return (
             parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND
@@ -317,13 +319,14 @@ class BusFile(TomlTable, frozen=True):
 
     @property
     def mapped_by_traffic(self) -> bool:
-        """Whether PDOs of a drive are only known from the SDO writes of another master."""
+        """True if PDOs of a drive are only known from the SDO writes of another master."""
         return any(drive.mapping == "traffic" for drive in self.drive)
 
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """Compute the difference of a torque demand value at SYNC from its mean, as a share of the
-    inertia.
+    """Compute the ripple of a torque demand value at SYNC, as a share of the inertia.
+
+    The ripple is the difference of the value from its mean.
 
         (w T)²/3,     w = 2 pi bandwidth_hz,     T = sync_period_s
     """
@@ -334,9 +337,7 @@ def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
 
 
 def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
-    """Return a note if the ripple may be large and the effort of a drive is a torque demand
-    value.
-    """
+    """Return a note if an effort is a torque demand value whose ripple may be large."""
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     if (ripple := demand_ripple(bandwidth_hz, bus.sync_period_s)) <= MAX_DEMAND_RIPPLE:

@@ -1,7 +1,7 @@
-"""`robot.toml` as written in the file: its tables and keys, and the checks that types cannot
-express.
+"""`robot.toml` as written in the file: its tables and keys, and their checks.
 
-The layout of the file is that of the structure `RobotFile`. Angles are in degrees here.
+The checks are those that types cannot express. The layout of the file is that of the structure
+`RobotFile`. Angles are in degrees here.
 """
 
 import math
@@ -17,8 +17,9 @@ from .toml import Name, Positive, TomlTable, note
 
 
 class DH(TomlTable, frozen=True):
-    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z,
-    theta) Trans(z, r).
+    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger).
+
+    The transformation is Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r).
     """
 
     alpha_deg: Annotated[float, note("angle between the joint axes: Rot(x, alpha), deg")]
@@ -30,8 +31,9 @@ class DH(TomlTable, frozen=True):
 
 
 class Capsule(TomlTable, frozen=True):
-    """A cylinder with round ends around a link: radius, and the ends of its axis in the frame of
-    the link.
+    """A cylinder with round ends around a link.
+
+    It has a radius, and the ends of its axis in the frame of the link.
     """
 
     radius_m: Annotated[Positive, note("radius, m")]
@@ -156,15 +158,17 @@ class Joint(TomlTable, frozen=True):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Whether viscous and Coulomb friction depend on the direction: `friction =
-        "asymmetric"`.
+        """True if viscous and Coulomb friction depend on the direction.
+
+        The key is then `friction = "asymmetric"`.
         """
         return self.friction == "asymmetric"
 
     @cached_property
     def terms(self) -> tuple[FrictionTerm, ...]:
-        """Friction terms: the list `friction`, or those of the keys `viscous`, `coulomb` and
-        `offset`.
+        """Friction terms, from the list `friction` or from single keys.
+
+        The keys are `viscous`, `coulomb` and `offset`.
         """
         if isinstance(self.friction, tuple):
             return self.friction
@@ -180,8 +184,9 @@ class Joint(TomlTable, frozen=True):
         return _KEYS[self.type][quantity]
 
     def si(self, quantity: str) -> Any:
-        """Return a quantity of the joint in rad or m (per s, s²), `effort` in N m or N; None if not
-        given.
+        """Return a quantity of the joint in SI; None if not given.
+
+        It is in rad or m (per s, s²); `effort` is in N m or N.
         """
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort" or value is None:
@@ -244,15 +249,17 @@ class Motor(TomlTable, frozen=True):
 
     @cached_property
     def recorded_unit(self) -> str:
-        """Unit of the recorded effort: the denominator of the drive gain's unit, or
-        `effort_unit`.
+        """Unit of the recorded effort.
+
+        It is the denominator of the drive gain's unit, or `effort_unit`.
         """
         return self.drive_gain_unit.split("/")[1] if self.drive_gain_unit else str(self.effort_unit)
 
     @cached_property
     def gain(self) -> float | None:
-        """Motor torque or force per unit of recorded effort; 1 if a torque or force is recorded;
-        None if unknown.
+        """Motor torque or force per unit of recorded effort; None if unknown.
+
+        It is 1 if a torque or force is recorded.
         """
         is_torque = self.drive_gain_unit is None and self.effort_unit in ("N m", "N")
         return 1.0 if is_torque else self.drive_gain

@@ -20,8 +20,9 @@ POSITION_TYPE = "I32"
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Limits of the joints that a motor moves, at the motor; None if one of these joints has no
-    limit.
+    """Limits of the joints that a motor moves, at the motor.
+
+    A limit is None if one of these joints has no limit.
 
     Attributes:
         speed: counts/s.
@@ -99,8 +100,9 @@ class Drive:
         return cia.BITS[self.types.get((index, sub)) or cia.object_type(index, sub)] // 8
 
     def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
-        """Return the PDO that carries an object (`direction`: `tpdo` or `rpdo`); None if there is
-        none.
+        """Return the PDO that carries an object; None if there is none.
+
+        `direction` is `tpdo` or `rpdo`.
         """
         return next(
             (
@@ -169,8 +171,9 @@ def refuse_load(bus: Bus, place: str) -> None:
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse positions (N, n), one row per SYNC, beyond the range of a drive's target: this drive
-    would stop while the others continue.
+    """Refuse positions (N, n), one row per SYNC, beyond the range of a drive's target.
+
+    This drive would stop while the others continue.
     """
     low, high = cia.range_of(POSITION_TYPE)
     # Values that are not finite are refused below.
@@ -267,8 +270,9 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Location) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """Return the offset of a drive's control and status objects from 6040h and 6041h: a multiple of
-    800h (CiA 402-2), the same for both.
+    """Return the offset of a drive's control and status objects from 6040h and 6041h.
+
+    It is a multiple of 800h (CiA 402-2), the same for both.
     """
     axis = drive.control.index - cia.CONTROLWORD
     if (

@@ -1,5 +1,6 @@
-"""Tables of robot.toml that only a fit and a simulation read: controller, identification and
-payload; and friction terms, each as a function of speed.
+"""Tables of robot.toml that only a fit and a simulation read, and friction terms.
+
+The tables are controller, identification and payload. Each friction term is a function of speed.
 
 To add a term, add its name to `FrictionTerm` and its row to `FRICTION`: descriptions, models,
 intervals, charts and exports take it from there. Viscous friction and offsets act through matrices
@@ -26,8 +27,9 @@ Gains = tuple[float, ...] | None
 
 
 class Controller(TomlTable, frozen=True):
-    """`[controller]`: how the drives follow their reference. Least squares needs only
-    `bandwidth_hz`.
+    """Table `[controller]`: how the drives follow their reference.
+
+    Least squares needs only `bandwidth_hz`.
     """
 
     bandwidth_hz: Annotated[
@@ -83,8 +85,9 @@ class Controller(TomlTable, frozen=True):
 
 
 class LowSpeed(TomlTable, frozen=True):
-    """Percentage of the peak speed below which samples have zero weight in least squares and in iv;
-    None for the default.
+    """Percentage of the peak speed below which samples have zero weight.
+
+    There is one for least squares and one for iv. It is None for the default.
     """
 
     ls: Annotated[
@@ -97,8 +100,9 @@ class LowSpeed(TomlTable, frozen=True):
 
 
 class Identification(TomlTable, frozen=True):
-    """`[identification]`: settings that replace the defaults of a fit; options of the command
-    replace both.
+    """Table `[identification]`: settings that replace the defaults of a fit.
+
+    Options of the command replace both.
     """
 
     cutoff_hz: Annotated[

@@ -1,5 +1,6 @@
-"""Limits of the description: efforts of joints and drives; checks of recorded positions, speeds and
-efforts.
+"""Limits of efforts, and checks of recorded positions, speeds and efforts.
+
+The limits of the description are those of joints and drives.
 
 Impossible positions have causes that a fit does not detect: degrees read as radians, a wrong ratio,
 a counter that wraps, a foreign sample. A small overshoot of a limit only gives a warning.
@@ -129,8 +130,9 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
 
 
 def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
-    """Return warnings about joint efforts (N, n) of at least 1.2 times their limit, which show a
-    wrong gain, ratio or unit.
+    """Return warnings about joint efforts (N, n) of at least 1.2 times their limit.
+
+    Such efforts show a wrong gain, ratio or unit.
     """
     limits = effort_limits(robot)
     peaks = [float(np.abs(effort @ row).max(initial=0.0)) for row in limits.directions]

@@ -38,8 +38,9 @@ class Payload:
 
     @property
     def text(self) -> str:
-        """Return the payload as options give it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if that is
-        not the default; or `unknown`.
+        """Text of the payload as in options, or `unknown`.
+
+        An example is `2.805@0.03,0.15,-0.16`, with `+-0.001` if that is not the default.
         """
         center, mass = ",".join(map(repr, self.center_of_mass_m or ())), self.mass_kg or "unknown"
         width = (

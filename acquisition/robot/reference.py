@@ -112,8 +112,9 @@ MAX_PATH_VALUES = 10**8
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
-    """Read joint positions (N, n) along a table, one row per SYNC, with cubic splines between its
-    rows.
+    """Read joint positions (N, n) along a table, one row per SYNC.
+
+    Cubic splines interpolate between the rows of the table.
 
     Parameters
     ----------
@@ -171,8 +172,10 @@ def missing_limits(robot: Robot) -> list[str]:
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path (N, n) from rest to rest, rad or m, that exceeds limits of position, speed or
-    acceleration, or for which limits are missing.
+    """Refuse a path (N, n) from rest to rest, rad or m, that exceeds limits.
+
+    The limits are those of position, speed and acceleration. A path is also refused if limits are
+    missing.
     """
     for problem in missing_limits(robot):
         Location(place).refuse(text=problem, advice="Add it to robot.toml before motion")
@@ -200,10 +203,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """Compute a slow straight move (N, n) of minimum jerk, from rest at `start` to rest at `end`
-    (n,).
+    """Compute a slow straight move (N, n) of minimum jerk.
 
-    Obstacles are not checked.
+    It leads from rest at `start` to rest at `end` (n,). Obstacles are not checked.
     """
     distance = np.abs(end - start)
     speed, acceleration = (
@@ -224,11 +226,10 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
 def follow(
     path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]
 ) -> Iterator[Array]:
-    """Yield joint positions (n,) along a path (N, n), one per SYNC. Slow down to rest once
-    `stopping()` is true.
+    """Yield joint positions (n,) along a path (N, n), one per SYNC.
 
-    The motion slows down along the path. This adds at most half of the joints' acceleration limits
-    to the path's own acceleration.
+    Once `stopping()` is true, the motion slows down along the path to rest. This adds at most half
+    of the joints' acceleration limits to the path's own acceleration.
     """
     at, rate = 0.0, 1.0
     speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s

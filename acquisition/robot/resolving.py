@@ -76,8 +76,9 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, cia.Confirmed] | Non
 
 
 def _limit(robot: Robot, i: int, quantity: str) -> float | None:
-    """Return the limit of a motor, the sum over the joints that it moves; None if one has no
-    limit.
+    """Return the limit of a motor, the sum over the joints that it moves.
+
+    The result is None if one of them has no limit.
     """
     ratios = [abs(r) for r in robot.R[i]]
     limits = [x.si(quantity) if r else 0.0 for r, x in zip(ratios, robot.joints, strict=True)]
@@ -89,8 +90,10 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
 
 
 def _position_range(robot: Robot, i: int, codec: cia.PositionCodec) -> tuple[float, float] | None:
-    """Return lowest and highest counts of a motor within the position limits of the joints that it
-    moves; None if one of them has no limits.
+    """Return the lowest and highest counts of a motor within limits of position.
+
+    The limits are those of the joints that the motor moves. The result is None if one of them has
+    no limits.
     """
     limits = [
         joint.si("position") if r else (0.0, 0.0)
@@ -244,8 +247,10 @@ def _motion(robot: Robot, i: int, file: DriveFile, codec: cia.PositionCodec) -> 
 def _pdos(
     way: str, objects: _Objects, mapped: cia.Values, default: tuple[cia.ObjectEntry, ...]
 ) -> tuple[cia.Pdo, ...]:
-    """Return the PDOs of one direction: as `mapped`, as given in robot.toml, or as few as possible
-    with the `default` objects in order.
+    """Return the PDOs of one direction.
+
+    They are as `mapped`, as given in robot.toml, or as few as possible with the `default` objects
+    in order.
     """
     pdos, at = [], objects.at
     if objects.file.mapping != "table":

@@ -53,8 +53,10 @@ _MESH = "mesh:"
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """The part that does not move: its shape, and the height of the ground in its frame, against
-    gravity; None if not given.
+    """The part that does not move.
+
+    It has a shape, and the height of the ground in its frame, against gravity. Both are None if not
+    given.
     """
 
     capsule: Capsule | None = None
@@ -101,8 +103,9 @@ class Robot:
         )
 
     def mesh(self, name: str) -> bytes | None:
-        """Return the content of a mesh by its name in the URDF; None if the robot does not include
-        it.
+        """Return the content of a mesh by its name in the URDF.
+
+        The result is None if the robot does not include the mesh.
         """
         return self.files.get(f"{_MESH}{name}")
 
@@ -119,8 +122,9 @@ class Robot:
 
     @cached_property
     def bandwidth_hz(self) -> float:
-        """Bandwidth of the position loop in Hz; `BadInputError` if the description does not give
-        it.
+        """Bandwidth of the position loop in Hz.
+
+        `BadInputError` is raised if the description does not give it.
         """
         if self.controller.bandwidth_hz is None:
             Location(f"robot {self.name}").refuse(
@@ -132,7 +136,7 @@ class Robot:
 
     @cached_property
     def gain_known(self) -> bool:
-        """Whether efforts are torques and forces; otherwise they are in A or V."""
+        """True if efforts are torques and forces; otherwise they are in A or V."""
         return self.identified_gain is not None or all(m.gain is not None for m in self.motors)
 
     @cached_property
@@ -164,8 +168,9 @@ class Robot:
         )
 
     def joint_position(self, q_motor: Array) -> Array:
-        """Compute joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor +
-        zero.
+        """Compute joint positions (N, n) in rad or m from motor positions (N, n).
+
+        They are inv(R) q_motor + zero.
         """
         return np.linalg.solve(self.R, q_motor.T).T + self.zero
 
@@ -178,8 +183,9 @@ class Robot:
         return np.asarray(dq @ self.R.T)
 
     def motor_position(self, q: Array) -> Array:
-        """Compute motor positions (N, n) from joint positions (N, n); the inverse of
-        `joint_position`.
+        """Compute motor positions (N, n) from joint positions (N, n).
+
+        This is the inverse of `joint_position`.
         """
         return (q - self.zero) @ self.R.T
 
@@ -191,8 +197,9 @@ class Robot:
         return (effort_motor * self.gain) @ self.R
 
     def motor_effort(self, effort: Array) -> Array:
-        """Compute motor efforts (N, n) in the recorded unit from joint efforts (N, n); the inverse
-        of `joint_effort`.
+        """Compute motor efforts (N, n) in the recorded unit from joint efforts (N, n).
+
+        This is the inverse of `joint_effort`.
         """
         return np.linalg.solve(self.R.T, effort.T).T / self.gain
 

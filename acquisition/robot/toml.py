@@ -1,5 +1,6 @@
-"""Decoding of TOML descriptions into typed, frozen structures; errors have place, key, value and
-what was expected.
+"""Decoding of TOML descriptions into typed, frozen structures.
+
+Errors have place, key, value and what was expected.
 """
 
 import math
@@ -51,8 +52,9 @@ def note(description: str, **limits: Any) -> msgspec.Meta:
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """A table of a description. Unknown keys are refused; `__post_init__` requires what the types
-    cannot express.
+    """A table of a description.
+
+    Unknown keys are refused. `__post_init__` requires what the types cannot express.
     """
 
     def require(self, holds: object, key: str, value: object, says: str | tuple[str, str]) -> None:
@@ -81,8 +83,9 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class InvalidValueError(ValueError):
-    """A wrong value of a key of a table, with the texts of its error. A `ValueError`, to which
-    msgspec adds the place of the table.
+    """A wrong value of a key of a table, with the texts of its error.
+
+    It is a `ValueError`, to which msgspec adds the place of the table.
     """
 
 

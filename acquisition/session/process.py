@@ -139,7 +139,8 @@ class Watchdog:
 
     def _stop_drives(self, reason: str) -> None:
         self.reason = f"{reason}: the watchdog stopped the drives"
-        # The session must know before the first frame, and not attribute it to another master.
+        # The session needs the reason before the first frame, which it would otherwise attribute to
+        # another master.
         with suppress(OSError):
             os.write(self._connection.fileno(), self.reason.encode())
         self._event("fault", self.reason)

@@ -418,11 +418,10 @@ def replay(
 
 
 def from_drives(recording: Recording, place: str) -> tuple[Block, BusFile]:
-    """Return the frames that the drives of a recording sent, with SYNC, and the description of the
-    bus.
+    """Return the frames that the drives of a recording sent, with SYNC, and the bus description.
 
-    They are from the channel with the most frames. The drives are those of the description in the
-    recording, with their TPDOs, emergencies, SDO answers and heartbeats. Error frames, remote
+    The frames are from the channel with the most frames. The drives are those of the description in
+    the recording, with their TPDOs, emergencies, SDO answers and heartbeats. Error frames, remote
     requests and 29-bit frames are left out.
 
     Raises

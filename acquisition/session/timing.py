@@ -52,8 +52,9 @@ class Pace:
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
-        """Wait until SYNC is due, send it (or wait for that of the other producer), and take the
-        answers.
+        """Wait until SYNC is due, send it, and take the answers.
+
+        If another producer sends SYNC, the method waits for that SYNC instead.
 
         Raises
         ------
