@@ -1,5 +1,6 @@
-"""The array types of the package, of any shape; docstrings give the shape, time first: (N, n) is
-samples by joints.
+"""The array types of the package, which have any shape.
+
+Docstrings give the shape, with time first: (N, n) is samples by joints.
 """
 
 import numpy as np

@@ -1,5 +1,6 @@
-"""The Python interface of `import identification`: fits, what one does with a
-fit, and the main names.
+"""The Python interface of `import identification`.
+
+It has fits, what one does with a fit, and the main names.
 """
 
 import warnings

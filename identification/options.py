@@ -1,7 +1,7 @@
-"""Options of users, each with its default, unit and help; and the functions that read
-and check their values.
+"""Options of users, each with its default, unit and help, and the functions that check them.
 
-Rooms use these records, commands make options from them (`acquisition.options`). No heavy imports.
+These functions read the values too. Subpackages use these records, and commands make options from
+them (`acquisition.options`). The module has no heavy imports.
 """
 
 from argparse import ArgumentTypeError

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
-    """Declare the inputs group with the robot; `text` names the required parts of its
-    description.
+    """Declare the inputs group with the robot.
+
+    `text` names the required parts of the description of the robot.
     """
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "robot", "ROBOT.toml", f"robot description; {text}")
@@ -118,8 +119,10 @@ def show_results(
     rrds: Sequence[Path] = (),
     lines: Sequence[str] = (),
 ) -> None:
-    """Write the `content` as `--json` and the files of `add_pictures`, and print the document
-    and the `lines`, even if a file cannot be written.
+    """Write the results of a command to its files, and print the document and the `lines`.
+
+    The `content` goes to `--json`, plots to the files of `add_pictures`. The document and the lines
+    are printed even if a file cannot be written.
     """
     from ..report import write_json
 
@@ -214,8 +217,9 @@ def refuse_outputs(
 
 
 def print_results(*items: "report.Document | str", everything: bool = True) -> None:
-    """Print reports and lines without cutting them to the width of the terminal; reports in
-    short, or `everything`.
+    """Print reports and lines without cutting them to the width of the terminal.
+
+    Reports are printed in their short form, or completely with `everything`.
     """
     from ..report import print_whole
 

@@ -52,8 +52,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Record, fit by both methods, draw, and print both fits beside the true
-    values; or drive gains alone.
+    """Record, fit by both methods, draw, and print both fits beside the true values.
+
+    With `--gains` the demo identifies drive gains alone.
     """
     (_identify_gains if options.gains else _identify)(options)
 
@@ -98,8 +99,9 @@ def _identify(options: argparse.Namespace) -> None:
 
 
 def _identify_gains(options: argparse.Namespace) -> None:
-    """Record without and with a payload, identify the drive gains, and print
-    them beside the true ones.
+    """Record without and with a payload, and identify the drive gains.
+
+    The gains are printed beside the true ones.
     """
     out, paths = options.out, (options.out / "free.mcap", options.out / "loaded.mcap")
     with Progress("starting") as progress:

@@ -98,8 +98,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _pictures(options: argparse.Namespace) -> list[Path]:
-    """Return the Rerun files to write, one for each recording; refuse outputs that cannot be
-    written.
+    """Return the Rerun files to write, one for each recording.
+
+    Outputs that cannot be written are refused.
     """
     from acquisition.files import refuse_clash
 

@@ -1,6 +1,4 @@
-"""`robot-identify fleet`: a fit of each recording in folders, as a table that
-marks what has changed.
-"""
+"""`robot-identify fleet`: a fit of each recording in folders, as a table that marks changes."""
 
 import argparse
 
@@ -42,8 +40,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit every recording without a stored fit, write and print the table; 3
-    if none could be fitted.
+    """Fit every recording without a stored fit, and write and print the table.
+
+    The exit status is 3 if no recording could be fitted.
     """
     out, ending = options.out, options.out.suffix
     Location(str(out)).require(ending in (".parquet", ".csv"), "ending", ending, ".parquet or .csv")

@@ -189,8 +189,9 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
 
 
 def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:
-    """Return by joint the unit of the recorded effort: that of its drive, or as given; empty if
-    neither gives it.
+    """Return by joint the unit of the recorded effort.
+
+    It is that of the drive of the joint, or as given, and empty if neither gives it.
     """
     from acquisition.robot import efforts_of_scan
 

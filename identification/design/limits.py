@@ -1,5 +1,6 @@
-"""Motions as Fourier series from rest to rest, and limits of position, speed, acceleration and
-effort.
+"""Motions as Fourier series from rest to rest, and their limits.
+
+Limits are of position, speed, acceleration and effort.
 """
 
 from collections.abc import Sequence

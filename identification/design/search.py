@@ -1,7 +1,7 @@
-"""The search for the best reference: sequential quadratic programming on the coefficients
-of the series (SLSQP).
+"""The search for the best reference by sequential quadratic programming (SLSQP).
 
-Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988), in scipy.
+Its unknowns are the coefficients of the Fourier series. The algorithm is that of Kraft, A software
+package for sequential quadratic programming, DFVLR-FB 88-28 (1988), in scipy.
 """
 
 import math

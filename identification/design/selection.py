@@ -1,7 +1,7 @@
-"""Selection of friction terms by cross-validation, over parts of a recording or of a pair, or over
-recordings.
+"""Selection of friction terms by cross-validation.
 
-The selected set is the smallest that predicts the parts nearly as well as the best, among the sets
+The parts of the cross-validation are those of a recording or of a pair, or whole recordings. The
+selected set is the smallest that predicts the parts nearly as well as the best, among the sets
 whose terms all have intervals that exclude 0 (identification/docs/howto/friction.md). The score of
 a part is the sum of squared residuals of its weighted rows, each divided by its joint's s_j of the
 fit with the usual terms.

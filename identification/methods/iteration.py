@@ -1,5 +1,7 @@
-"""The iterations of the instrumental variable method: the values simulated first and next, one
-iteration, and the choice of the iteration that is returned.
+"""The iterations of the instrumental variable method.
+
+The module computes the values simulated first and next, makes one iteration, and chooses the
+iteration that is returned.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,5 +1,6 @@
-"""Comparison of two parameter sets: least squares and instrumental variables, a fit
-and the truth, two fits.
+"""Comparison of two parameter sets.
+
+The sets are least squares and instrumental variables, a fit and the truth, or two fits.
 """
 
 import math
@@ -144,10 +145,10 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(
     a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
 ) -> Document:
-    """Make the report of a comparison with `warnings`; the short form has the largest differences
-    in sigma.
+    """Make the report of a comparison with `warnings`.
 
-    With a `prior` b it also has a over b.
+    The short form has the largest differences in sigma. With a `prior` b the report also has a over
+    b.
     """
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:

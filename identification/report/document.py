@@ -17,8 +17,9 @@ MAX_SHORT_ROWS = 20  # of a table that a terminal prints whole without `--all`
 
 @dataclass(frozen=True)
 class Number:
-    """A number and its format; shown as `-` if None or not finite, and as `> most`
-    if larger than `most`.
+    """A number and its format.
+
+    It is shown as `-` if it is None or not finite, and as `> most` if it is larger than `most`.
     """
 
     value: float | None
@@ -85,8 +86,9 @@ class Section:
     short: "Section | None" = None
 
     def with_short_table(self, order: Sequence[int], most: int = 10) -> "Section":
-        """Return the section with a short form of a long table: the `most` rows that come first in
-        `order`.
+        """Return the section with a short form of a long table.
+
+        The short form has the `most` rows that come first in `order`.
         """
         if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
             return self

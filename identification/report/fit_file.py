@@ -111,8 +111,9 @@ class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The delay of a recording's torque, s, positive if late; corrected by the fit and included in
-    its intervals.
+    """The delay of a recording's torque, s, positive if late.
+
+    The fit corrects the delay, and includes it in its intervals.
     """
 
     value_s: float
@@ -179,8 +180,9 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative errors of a simulated joint: of |q - mean|, None if the joint is held, and of
-    |tau|.
+    """Relative errors of a simulated joint.
+
+    The errors are of |q - mean|, None if the joint is held, and of |tau|.
     """
 
     name: str
@@ -224,10 +226,10 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
-    """The keys common to a fit and a validation: torque errors of all joints and of each, the
-    filters of these errors, settings, warnings.
+    """The keys common to a fit and a validation.
 
-    A file of an earlier version has no `all_joints`, and none of the last four keys.
+    They are the torque errors of all joints and of each, the filters of these errors, settings, and
+    warnings. A file of an earlier version has no `all_joints`, and none of the last four keys.
     """
 
     warnings: list[str] = msgspec.field(default_factory=list)
@@ -356,8 +358,9 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         return f"FitFile({self.summary})"
 
     def warnings_of(self, place: str) -> list[str]:
-        """Return warnings with the file `place`: a status other than convergence, physically
-        impossible values.
+        """Return warnings with the file `place`.
+
+        They are about a status other than convergence, and about physically impossible values.
         """
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
         texts = [f"its status is {self.status}"] * unsettled
@@ -376,8 +379,10 @@ class Ahead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: errors of the file `fit`, and of its physically consistent set,
-    all joints last; and how far it predicts the motion `ahead`, by time in s.
+    """The JSON file of `validate`.
+
+    It has the errors of the file `fit`, and of its physically consistent set, all joints last. It
+    also shows how far the fit predicts the motion: `ahead`, by time in s.
     """
 
     fit: str

@@ -113,11 +113,10 @@ def meaning_of(name: str, joints: Sequence[str]) -> str:
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its classical standard error `sigma`, 0 for an exact
-    value.
+    """A parameter with its 95 % interval and its classical standard error `sigma`.
 
-    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier
-    version. `prior`: its a priori value.
+    `sigma` is 0 for an exact value. `low`, `high` and `expression`, its sum of standard parameters,
+    are None in a file of an earlier version. `prior` is its a priori value.
     """
 
     name: str
@@ -147,8 +146,9 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def torque(self) -> float:
-        """The torque that the parameter causes in the weighted rows of the fit, as far as it is
-        known.
+        """The torque that the parameter causes in the weighted rows of the fit.
+
+        It is 0 if its column in these rows is not known.
         """
         return abs(self.value) * (self.column_norm or 0.0)
 
@@ -159,8 +159,9 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PhysicalWarning(msgspec.Struct, frozen=True):
-    """A physically impossible value of a fit, in files of every version; `severe` if
-    significant.
+    """A physically impossible value of a fit, in files of every version.
+
+    It is `severe` if it is significant.
     """
 
     text: str
@@ -168,8 +169,9 @@ class PhysicalWarning(msgspec.Struct, frozen=True):
 
 
 class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance (b, b) of the parameters `names`: standard errors of the intervals, correlations
-    of the formula.
+    """The covariance (b, b) of the parameters `names`.
+
+    The standard errors are those of the intervals, the correlations those of the formula.
     """
 
     names: list[str]
@@ -177,8 +179,9 @@ class Covariance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter that `--essential` leaves out, with its standard error by least squares of
-    all parameters.
+    """A base parameter that `--essential` leaves out.
+
+    Its standard error is that of least squares with all parameters.
     """
 
     name: str
@@ -200,10 +203,11 @@ class StandardParameter(msgspec.Struct, frozen=True):
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The physically consistent set: the prior, the distance from the estimate (chi², largest
-    change in half-widths), the torque error, and the Newton decrement.
+    """The physically consistent set of parameters.
 
-    Files of earlier versions may have another weight of the prior.
+    The record also has the prior, the distance from the estimate (chi², largest change in
+    half-widths), the torque error, and the Newton decrement. Files of earlier versions may have
+    another weight of the prior.
     """
 
     prior: str
@@ -246,8 +250,9 @@ class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The control law of the recording: keys of `[controller]`, null if none is estimated, for the
-    `reason`.
+    """The control law of the recording, as keys of `[controller]`.
+
+    The keys are null if no control law is estimated, for the `reason`.
     """
 
     structure: str
@@ -257,11 +262,11 @@ class LawFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """A payload as given (`stated`), also in words, its nearest rigid body, and its share of the
-    base parameters.
+    """A payload as given and as estimated.
 
-    `recording`: the first with it. `given`: what is known of it, `mass` and `center`; a mass with
-    its half-width, null for an exact one.
+    The record has the payload as given (`stated`), also in words, its nearest rigid body, and its
+    share of the base parameters. `recording` is the first with it. `given` is what is known of it,
+    `mass` and `center`; a mass has its half-width, null for an exact one.
     """
 
     recording: str

@@ -1,5 +1,7 @@
-"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML
-for notebooks and pages.
+"""Renderers of a report: terminal, Markdown and HTML.
+
+A terminal may have any width. Markdown is for the text panel of a viewer, HTML for notebooks and
+pages.
 """
 
 import re
@@ -202,8 +204,9 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
 
 
 def _tiles(document: Document) -> list[str]:
-    """Return the badge and the figures of a report, with styles of their own since a notebook has
-    no style sheet.
+    """Return the badge and the figures of a report.
+
+    They have styles of their own, since a notebook has no style sheet.
     """
     if not document.badge:
         return []

@@ -1,5 +1,6 @@
-"""Physically consistent standard parameters nearest to the estimate of a fit: a
-simulator accepts them.
+"""Physically consistent standard parameters nearest to the estimate of a fit.
+
+A simulator accepts these parameters.
 """
 
 from collections.abc import Sequence
@@ -32,8 +33,9 @@ MIN_PRIOR_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Known:
-    """An estimate beta (b,), its covariance C = D R D (b, b), and `reach`, the standard errors in
-    half a 95 % interval.
+    """An estimate beta (b,) and its covariance C = D R D (b, b).
+
+    `reach` is the number of standard errors in half a 95 % interval.
     """
 
     beta: Array
@@ -80,8 +82,7 @@ def consistent_set(
     prior: Robot | None = None,
     power: Array | None = None,
 ) -> tuple[ConsistentFile, tuple[StandardParameter, ...]]:
-    """Return the physically consistent base and standard parameters nearest to a robot's `known`
-    ones.
+    """Return the physically consistent base and standard parameters nearest to the `known` ones.
 
     Parameters
     ----------
@@ -122,8 +123,9 @@ def consistent_set(
 def standard_parameters(
     names: Sequence[str], units: Sequence[str], values: Array, *columns: NDArray[Any]
 ) -> tuple[StandardParameter, ...]:
-    """Return parameters from values (p,), half-widths, a mask of those from the prior and, for base
-    parameters, changes.
+    """Return parameters from their values (p,) and further columns.
+
+    The columns are half-widths, a mask of those from the prior and, for base parameters, changes.
     """
     half, from_prior, *moves = (x.tolist() for x in columns)
     return tuple(map(StandardParameter, names, values.tolist(), units, from_prior, half, *moves))

@@ -1,5 +1,7 @@
-"""What a fit was made from: the torque that it predicts on each recording, and of all together the
-estimate, its settings and its tests. A fit that was read from a file has the former alone.
+"""The material from which a fit is made.
+
+This is the torque that it predicts on each recording and, of all recordings together, the estimate,
+its settings and its tests. A fit that was read from a file has the former alone.
 """
 
 from collections.abc import Sequence
@@ -74,8 +76,9 @@ class FitOnRecording:
     ahead: Array | None = None
 
     def values(self, estimate: Estimate) -> Array:
-        """Return the base parameters (b,) with the payload from an estimate, zero where it has
-        none.
+        """Return the base parameters (b,) with the payload from an estimate.
+
+        They are zero where the estimate has none.
         """
         return estimate.values_of(self.names) + self.carried
 
@@ -174,17 +177,18 @@ class Evidence:
 
     @cached_property
     def direct(self) -> tuple[DirectModelResidual, ...]:
-        """Errors of the direct model by joint; empty without a robot simulated with the final
-        estimate.
+        """Errors of the direct model by joint.
+
+        The tuple is empty without a robot simulated with the final estimate.
         """
         return direct_errors([one.simulated for one in self.recordings if one.simulated])
 
     @property
     def controller(self) -> ControllerKind | None:
-        """Kind of the simulated controller; of several recordings the last of these kinds that
-        occurs.
+        """Kind of the simulated controller.
 
-        It is None after least squares.
+        Of several recordings it is the last of these kinds that occurs. It is None after least
+        squares.
         """
         return max(
             (one.simulated.controller for one in self.recordings if one.simulated),
@@ -278,8 +282,9 @@ class Evidence:
 
     @property
     def contrast(self) -> tuple[float, str]:
-        """Largest difference between least squares and the estimate, in half-widths, and its
-        parameter.
+        """Largest difference between least squares and the estimate, and its parameter.
+
+        The difference is in half-widths.
         """
         estimate, full = self.data.estimate, self.data.least_squares
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,8 +20,9 @@ from .parameters import fitted_parameters
 
 
 def fit_file(fit: Evidence) -> report.FitFile:
-    """Make the JSON file of a fit; a number that does not exist (without rows at standstill, say)
-    is null.
+    """Make the JSON file of a fit.
+
+    A number that does not exist (without rows at standstill, say) is null.
     """
     robot = fit.problem.signals.robot
     return report.FitFile(

@@ -1,5 +1,7 @@
-"""Identifies, and judges what was found: torque errors, tests and warnings of a solution, its drive
-gains and payloads.
+"""Identification, and the assessment of its solution.
+
+The assessment consists of the torque errors, tests and warnings of a solution, its drive gains and
+payloads.
 
 E_m is the torque of motor m by its described gain, kappa_m the factor on it: a term `Drives` like
 the others, equation (I). What is given of gains, masses and centres of mass has half-widths, which
@@ -168,8 +170,9 @@ def identify_iv(
 
 
 def own_test(model: Model, x: Array, full: Estimate) -> FTest | None:
-    """Test per-recording parameters against shared ones: an F test by least squares; None without
-    any.
+    """Test per-recording parameters against shared ones.
+
+    It is an F test by least squares. The result is None without per-recording parameters.
     """
     if not (own := tuple(filter(is_own, model.unknowns.names))):
         return None
@@ -206,8 +209,9 @@ def _warnings(model: Model) -> tuple[str, ...]:
 
 
 def _short_moves(problem: Problem) -> list[str]:
-    """Return a warning on joints whose weight taper is shorter than that of the settings, or
-    none.
+    """Return a warning on joints whose weight taper is shorter than that of the settings.
+
+    The list is empty if there are no such joints.
     """
     if not len(problem.signals.q):
         return []

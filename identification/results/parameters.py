@@ -1,5 +1,7 @@
-"""Parameters of a fit, known values, a priori links and drive gains that are asked for, and the
-parameters of a stored fit for another recording or robot, with its settings.
+"""Parameters of a fit, known values, a priori links, and requested drive gains.
+
+The module also applies the parameters of a stored fit, with its settings, to another recording or
+robot.
 """
 
 from collections.abc import Sequence
@@ -204,8 +206,9 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
-    """Return the torque IDM(q, dq, ddq) beta, (rows, n), of a stored fit along a motion of three
-    arrays (rows, n).
+    """Return the torque IDM(q, dq, ddq) beta, (rows, n), of a stored fit.
+
+    The `motion` consists of the three arrays q, dq, ddq (rows, n).
     """
     arrays = [np.asarray(x, dtype=np.float64) for x in motion]
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
@@ -220,8 +223,9 @@ def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
-    """Return parameters that `base` lacks, or has in another unit or for another sum of standard
-    parameters.
+    """Return the parameters whose meaning differs in `base`.
+
+    `base` lacks them, or has them in another unit or for another sum of standard parameters.
     """
     known = true_parameters(base, np.zeros(base.b)).parameters
     return [
@@ -244,8 +248,9 @@ def terms_without_fit(stored: FitFile, base: BaseParameters, place: str) -> list
 
 
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
-    """Return the fit with the values of its physically consistent set; refuse a file without
-    one.
+    """Return the fit with the values of its physically consistent set.
+
+    A file without such a set is refused.
     """
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
         Location(place).refuse("standard_parameters", None, "`fit --consistent`")
@@ -255,10 +260,10 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """Return the values (b,) in the order of `base`, zero if left out; refuse a fit of another
-    robot.
+    """Return the values (b,) of a stored fit in the order of `base`.
 
-    Per-recording parameters are averaged.
+    They are zero if left out. A fit of another robot is refused. Per-recording parameters are
+    averaged.
     """
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
@@ -352,11 +357,11 @@ def predict_recordings(
     chosen: bool = False,
     ahead: bool = True,
 ) -> tuple[tuple[FitOnRecording, ...], tuple[TorqueResidual, ...], tuple[str, ...]]:
-    """Return the torque of a stored fit on recordings read from their paths, as `validate_all`
-    does.
+    """Return the torque of a stored fit on recordings read from their paths.
 
-    Warnings of their settings, of differences from the fit, and of the fit itself are returned too.
-    `overrides` replace the settings of the fit; `chosen`: the user gave the description.
+    `validate_all` computes it in the same way. Warnings of their settings, of differences from the
+    fit, and of the fit itself are returned too. `overrides` replace the settings of the fit;
+    `chosen`: the user gave the description.
     """
     each, notes = list[tuple[Signals, Overrides]](), list[str]()
     for source, path in recordings:

@@ -1,5 +1,7 @@
-"""Reports of a recording: settings and ranges before a fit; torque errors of a fit on other
-recordings. Sections that the report of a fit has too, and those of its drive gains and payloads.
+"""Reports of a recording before a fit, and of a fit on other recordings.
+
+Before a fit the report has settings and ranges, afterwards torque errors. The module also has the
+sections that the report of a fit has too, and those of its drive gains and payloads.
 """
 
 import math
@@ -137,8 +139,9 @@ def _ahead_section(recordings: Sequence[FitOnRecording]) -> list[Section]:
 
 
 def recordings_section(fit: FitFile) -> Section:
-    """Make the section of errors by recording, held-out errors, and the test of per-recording
-    parameters.
+    """Make the section of errors by recording.
+
+    It also has held-out errors, and the test of per-recording parameters.
     """
     each = fit.recordings or []
     rows: tuple[Row, ...] = tuple(

@@ -1,9 +1,9 @@
-"""Simulated robots with known parameters: recordings, Monte-Carlo studies, the
-demo; fits of whole fleets.
+"""Simulated robots with known parameters, and fits of several robots over time.
 
-It owns everything that makes or repeats many fits, and the tables of these; it alone imports
-pyarrow. It may use fits, their regression, the simulation and the model. Only
-`simulated_cell` uses the bus and sessions of `acquisition`, to record simulated drives.
+It has simulated recordings, Monte-Carlo studies, and the demo. It owns everything that makes or
+repeats many fits, and the tables of these; it alone imports pyarrow. It may use fits, their
+regression, the simulation and the model. Only `simulated_cell` uses the bus and sessions of
+`acquisition`, to record simulated drives.
 """
 
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table

@@ -1,5 +1,6 @@
-"""Fleets: a fit of every recording in folders, as a row of a table; fits of
-earlier runs are reused.
+"""Fits of every recording in folders, as rows of a table for several robots over time.
+
+Fits of earlier runs are reused.
 """
 
 import hashlib

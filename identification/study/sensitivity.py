@@ -1,7 +1,7 @@
-"""How estimates depend on filter, decimation, position noise, start and gain update: the
-question of Janot2014.
+"""The sensitivity of estimates to filter, decimation, position noise, start and gain update.
 
-Each variant changes one of them, and is fitted by least squares and by instrumental variables.
+This is the question of Janot2014. Each variant changes one of them, and is fitted by least squares
+and by instrumental variables.
 """
 
 from collections.abc import Mapping, Sequence

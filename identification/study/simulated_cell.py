@@ -143,8 +143,9 @@ def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectM
 def periodic_reference(
     robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S
 ) -> FourierReference:
-    """Return a random exciting reference of whole periods, each of about `period_s`, at rest after
-    `duration_s`.
+    """Return a random exciting reference of whole periods, each of about `period_s`.
+
+    The robot is at rest after `duration_s`.
     """
     return fourier_reference(
         robot, period_s=duration_s / max(1, round(duration_s / period_s)), seed=seed
@@ -371,8 +372,9 @@ def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list
 
 
 def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
-    """Return a robot of this project whose drives report their current, with these gains in N
-    m/A.
+    """Return a robot of this project whose drives report their current.
+
+    `gains` are the drive gains in N m/A.
     """
     each = iter(gains)
     text = re.sub(

@@ -1,6 +1,8 @@
-"""Monte-Carlo study: simulated recordings of a robot with known parameters, each fitted by
-both methods as users fit; its summaries, report and file, and those of base parameters. Fits of
-simulated recordings beside the true values.
+"""Monte-Carlo studies of robots with known parameters.
+
+Simulated recordings are each fitted by both methods as users fit. The module has the summaries,
+report and file of a study, and those of base parameters. It also reports fits of simulated
+recordings beside the true values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -101,8 +103,9 @@ class RunFit:
     positive: bool
 
     def half_widths_off(self, true: Array) -> Array:
-        """Return distances (b,) of the true values from the middles of the intervals, in half-
-        widths.
+        """Return distances (b,) of the true values from the middles of the intervals.
+
+        Distances are in half-widths.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.low + self.high - 2 * true) / (self.high - self.low))

@@ -1,5 +1,6 @@
-"""Terms that the model may lack: as those that it has, they are asked for their
-columns along a motion. Their kinds stand in `kinds`.
+"""Terms that the model may lack.
+
+They compute their columns along a motion as the terms of the model do. Their kinds are in `kinds`.
 """
 
 from dataclasses import dataclass

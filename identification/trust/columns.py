@@ -1,5 +1,6 @@
-"""Terms that the model may lack: columns added to W one by one, each with the share of the
-residual that it explains.
+"""Tests for terms that the model may lack, by columns added to W one by one.
+
+Each column has the share of the residual that it explains.
 
 The model is Y = W beta + rho, solved with instruments whose orthonormal span is Q, beta = B QᵀY
 with the bread B = (QᵀW)⁻¹. A column c beside W, its own instrument, has the coefficient
@@ -49,10 +50,11 @@ MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}
 
 
 def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
-    """Test for missing terms: friction, a rotor, an offset, a spring, base tilt, a joint zero
-    offset, a gain, a delay, clock drift.
+    """Test for terms that the model may lack.
 
-    Each term's column is added to the regressor in turn (an added-variable test).
+    These are friction, a rotor, an offset, a spring, base tilt, a joint zero offset, a gain, a
+    delay, or clock drift. Each term's column is added to the regressor in turn (an added-variable
+    test).
     """
     every, robot = missing_terms(evidence), evidence.robot
     terms = [term for term in every if np.isfinite(term.noticed)]
@@ -135,11 +137,11 @@ def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:
-    """Return the sort key of a term; all columns of a kind count together, since several joints may
-    lack the same term.
+    """Return the sort key of a term.
 
-    Asymmetric Coulomb friction contains an offset, so it wins a tie. Base tilt follows the
-    position, as springs do. A wrong ratio resembles a rotor inertia, and can be checked.
+    All columns of a kind count together, since several joints may lack the same term. Asymmetric
+    Coulomb friction contains an offset, so it wins a tie. Base tilt follows the position, as
+    springs do. A wrong ratio resembles a rotor inertia, and can be checked.
     """
     together = SHARES.get(term.kind, 1.0) * term.together_percent
     return together + MAX_TIE_PERCENT * (term.kind in AHEAD), term.taken_percent
@@ -241,8 +243,9 @@ def _usable(evidence: TrustInputs, kind: str, C: Array, z: Array) -> tuple[Bools
 
 
 def _moves(evidence: TrustInputs, shifts: Array) -> Array:
-    """Return the largest shifts (k,) of essential parameters, in half-widths, for shifts (b, k) of
-    beta.
+    """Return the largest shifts (k,) of essential parameters, in half-widths.
+
+    `shifts` (b, k) are those of beta.
     """
     counts = np.isin(evidence.estimate.names, evidence.essential)[:, None]
     within = np.where(counts, evidence.intervals.half[:, None], np.inf)
@@ -251,8 +254,9 @@ def _moves(evidence: TrustInputs, shifts: Array) -> Array:
 
 
 def _noticed(rho: Array, apart: Array, sigma: Array) -> Array:
-    """Return the sizes (k,) of coefficients that are significant and explain enough of the
-    residual.
+    """Return the sizes (k,) of coefficients that are worth a finding.
+
+    These coefficients are significant and explain enough of the residual.
     """
     large = np.sqrt(0.01 * kinds.MIN_TAKEN_PERCENT) * np.linalg.norm(rho)
     with np.errstate(divide="ignore"):
@@ -276,7 +280,8 @@ def _columns(evidence: TrustInputs, terms: Sequence[MissingTerm]) -> Array:
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:
-    """Return the share of |rho|² that the remainder `left`, (r,) or (r, k), no longer has, in
-    percent.
+    """Return the share of |rho|² that the remainder no longer has, in percent.
+
+    The remainder `left` is (r,) or (r, k).
     """
     return np.asarray(100 * (1 - (left**2).sum(axis=0) / max(float(rho @ rho), 1e-300)))

@@ -145,8 +145,9 @@ LAG = Words(
 
 
 def _largest_move(evidence: TrustInputs, lag: Lag) -> tuple[float, str]:
-    """Return the essential parameter that one standard error of the delay shifts most, and the
-    shift, in half-widths without the delay.
+    """Return the largest shift by one standard error of the delay, and its essential parameter.
+
+    The shift is in half-widths without the delay.
     """
     rest = intervals_of(evidence.observed.system, evidence.estimate).sigma
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
@@ -159,8 +160,9 @@ def _largest_move(evidence: TrustInputs, lag: Lag) -> tuple[float, str]:
 def control_law_line(
     problems: Sequence[Problem], laws: Sequence[FoundLaw | None]
 ) -> TrustResult | None:
-    """Test whether the given controllers reproduce the recorded efforts; of several recordings
-    return the worst result.
+    """Test whether the given controllers reproduce the recorded efforts.
+
+    Of several recordings the worst result is returned.
     """
     names = [problem.signals.recording for problem in problems]
     each = zip(map(law_line, problems, laws), names, strict=True)
@@ -298,8 +300,9 @@ LAW = Words(
 
 
 def _gains(found: FoundLaw, j: int) -> str:
-    """Return the controller gains of motor j with their half-widths, and those given in
-    robot.toml.
+    """Return the controller gains of motor j with their half-widths.
+
+    The text also has those given in robot.toml.
     """
     return ", ".join(
         f"{LETTERS[i]} {found.gains[i, j]:.5g} ± {found.gains_half[i, j]:.2g}"

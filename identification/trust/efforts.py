@@ -1,5 +1,6 @@
-"""Efforts and positions that are not what they are taken for: exchanged, of the wrong sign or unit,
-beyond their limit.
+"""Tests for efforts and positions that are not what they are taken for.
+
+Such efforts and positions are exchanged, of the wrong sign or unit, or beyond their limit.
 
 A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of
 the drives' torques at joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint
@@ -82,16 +83,19 @@ SIGNS = Words(
 
 
 def _power(evidence: TrustInputs) -> tuple[Array, Bools]:
-    """Return the sums (n, n) of joint speeds times torques, and a mask (n,) of the motors that
-    absorb power.
+    """Return the sums (n, n) of joint speeds times torques, and a mask (n,) of motors.
+
+    The motors of the mask absorb power.
     """
     power, R = evidence.observed.speed.T @ evidence.observed.tau, evidence.robot.R
     return power, np.diag(R @ power @ np.linalg.inv(R)) < 0
 
 
 def sign_may_be_wrong(evidence: TrustInputs, joint: str) -> bool:
-    """Test whether a motor of this joint brakes, or whether turning the sign of its effort or
-    position does not raise the torque error.
+    """Test whether the sign of the effort or position of a joint may be wrong.
+
+    It may be if a motor of this joint brakes, or if turning the sign of its effort or position does
+    not raise the torque error.
     """
     j = [one.name for one in evidence.robot.joints].index(joint)
     motors = np.flatnonzero(evidence.robot.R[:, j])
@@ -149,12 +153,13 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
 
 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
-    """Return the decimated motion q, dq, ddq (rows, n) from the zeros, and the torques (n, rows, n
-    + 1).
+    """Return the decimated motion q, dq, ddq (rows, n) from the zeros, and the torques.
 
-    For each joint these are all drives' torques and the external one. Columns are computed of this
-    motion and not decimated themselves: that is ten times as fast, and as good for errors of this
-    size. The delay is the known one, because an estimated delay would contain the mistake.
+    The torques have the shape (n, rows, n + 1). For each joint these are all drives' torques and
+    the external one. For each joint these are all drives' torques and the external one. Columns are
+    computed of this motion and not decimated themselves: that is ten times as fast, and as good for
+    errors of this size. The delay is the known one, because an estimated delay would contain the
+    mistake.
     """
     signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
@@ -184,8 +189,9 @@ def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -
 
 
 def _error(factors: Array, A: Array) -> float:
-    """Return the relative torque error (rms over the joints) of weighted least squares, with the
-    drives' torques mapped by A.
+    """Return the relative torque error (rms over the joints) of weighted least squares.
+
+    The drives' torques are mapped by A.
     """
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])

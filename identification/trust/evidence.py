@@ -40,8 +40,9 @@ def figures_of(
 
 
 def worst_of(lines: Iterable[TrustResult | None]) -> TrustResult | None:
-    """Return the first caution, or the first result, with the largest figure; None if there is
-    none.
+    """Return the first caution, or the first result, with the largest figure.
+
+    The result is None if `lines` has no results.
     """
     return max(
         filter(None, lines),
@@ -160,14 +161,16 @@ class TrustInputs:
         ]
 
     def between(self, start: int, stop: int) -> Part:
-        """Return the time blocks from one instant to before another, rounded to the nearest
-        borders.
+        """Return the time blocks from one instant to before another.
+
+        The instants are rounded to the nearest borders.
         """
         return (start <= self.middles) & (self.middles < stop)
 
     def count(self, part: Part) -> float:
-        """Return the number of rows in some time blocks, the sum of the squares of their
-        weights.
+        """Return the number of rows in some time blocks.
+
+        This is the sum of the squares of their weights.
         """
         return float(np.sum(self.observed.share[np.repeat(part, self.lengths)] ** 2))
 
@@ -210,8 +213,9 @@ class TrustInputs:
 
 @dataclass(frozen=True)
 class Case:
-    """One outcome of a test: a sentence with its figures, what to do, and the finding in a few
-    words.
+    """One outcome of a test.
+
+    It is a sentence with its figures, what to do, and the finding in a few words.
     """
 
     level: Level

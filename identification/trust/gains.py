@@ -19,8 +19,10 @@ MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with th
 
 
 def gains_test(evidence: TrustInputs) -> TrustResult | None:
-    """Test whether identified drive gains are positive, well determined, and not all wrong by one
-    factor beyond the scatter of catalogue values.
+    """Test whether identified drive gains are plausible.
+
+    They must be positive, well determined, and not all wrong by one factor beyond the scatter of
+    catalogue values.
     """
     if not evidence.gains:
         return None
@@ -117,8 +119,10 @@ GAINS = Words(
 
 
 def _common_factor(factors: Array) -> tuple[float, float, bool]:
-    """Return the median of the factors (m,), nan where unknown, the robust standard deviation of
-    their logarithms, and whether the median differs from 1 by more than that.
+    """Return the median of the factors (m,), its scatter, and whether it differs from 1.
+
+    Factors are nan where they are unknown. The scatter is the robust standard deviation of their
+    logarithms. The median differs from 1 if its distance from 1 is large compared with the scatter.
     """
     of = np.log(np.maximum(np.abs(factors[np.isfinite(factors)]), 1e-300))
     if len(of) < 2:
@@ -130,8 +134,9 @@ def _common_factor(factors: Array) -> tuple[float, float, bool]:
 
 
 def centre_of_mass_test(evidence: TrustInputs) -> TrustResult | None:
-    """Compare the estimated centre of mass of each payload with the given one; return the worst
-    result.
+    """Compare the estimated centre of mass of each payload with the given one.
+
+    The worst result is returned.
     """
     names, lines = evidence.estimate.names, list[TrustResult | None]()
     for one in filter(None, dict.fromkeys(arm.payload for arm in evidence.arms)):

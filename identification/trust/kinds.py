@@ -1,6 +1,7 @@
-"""Kinds of terms that a model may lack, each with its torque along a motion, what to do about it,
-and where it is looked for; and the model of a recording about an estimate, of which they are made.
-A new kind is an entry of `KINDS`.
+"""Kinds of terms that a model may lack, and the model about an estimate that makes them.
+
+Each kind has its torque along a motion, what to do about it, and where it is looked for. The model
+is that of a recording. A new kind is an entry of `KINDS`.
 """
 
 from collections.abc import Callable, Iterable
@@ -70,8 +71,9 @@ class About:
         return np.flatnonzero(arms.max(axis=(0, 1)) > MIN_ARM_M * np.linalg.norm(idm.robot.gravity))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for other processes: where blocks begin, without the speeds of all
-        rows.
+        """Return the state for other processes.
+
+        It has the hysteresis where blocks begin, without the speeds of all rows.
         """
         return vars(self) | {"wound": self.wound, "speed": self.speed[:0]}
 
@@ -181,8 +183,9 @@ def stride_of(motion: MotionBlock) -> int:
 
 
 def _directions(of: About) -> list[tuple[str, int]]:
-    """Return the directions of Coulomb friction: of a joint, or of the motor of the last joint that
-    it moves.
+    """Return the directions of Coulomb friction.
+
+    A direction is that of a joint, or of the motor of the last joint that the motor moves.
     """
     return [
         (f"of{' the motor of' * (len(at) > 1)} joint {of.robot.joints[at[-1]].name}", int(at[-1]))
@@ -201,8 +204,9 @@ def _root(of: About, x: MotionBlock, links: Array, k: int) -> Array:
 
 
 def _with_ratio(of: About, x: MotionBlock, links: Array, k: int) -> Array:
-    """Return the torque of joint k with a ratio that is wrong by one percent, in motion and in
-    motor torque.
+    """Return the torque of joint k with a ratio that is wrong by one percent.
+
+    The ratio is wrong in motion and in motor torque.
     """
     torque = np.array(links[..., 1 + len(of.peak) + k])
     torque[:, k] += x.tau[:, k]
@@ -219,8 +223,10 @@ def _of_parts(of: About) -> list[tuple[str, int]]:
 
 
 def _of_springs(of: About) -> float:
-    """Return the least share of the residual for springs: any slow error resembles a slow
-    position.
+    """Return the least share of the residual for springs.
+
+    Any slow error resembles a slow position. The share is therefore larger for a single joint and
+    for a robot whose links do not weigh.
     """
     return MIN_TAKEN_PERCENT if of.robot.n > 1 and len(of.weighs) else 10.0
 

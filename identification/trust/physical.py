@@ -1,5 +1,6 @@
-"""Whether estimated parameters are physical: M > 0 along the trajectory, no negative
-friction or rotor inertia.
+"""Tests of the physical plausibility of estimated parameters.
+
+They test that M > 0 along the trajectory, and that friction and rotor inertia are not negative.
 
 No method ensures that: an effort or a position of the wrong sign fits equally well, with negative
 inertias and friction. Two half-widths of the 95 % interval below zero are not chance. M is tested
@@ -123,8 +124,9 @@ PHYSICAL = Words(
 
 
 def _findings(evidence: TrustInputs, check: Check) -> tuple[list[TrustResult], float]:
-    """Return the physically impossible values of the estimate, and the lowest eigenvalue of M on
-    the trajectory.
+    """Return the physically impossible values of the estimate, and an eigenvalue of M.
+
+    The eigenvalue is the lowest on the trajectory.
     """
     # Per-recording parameters are tested at the speeds of their own recording, so select them by
     # recording, (b, e).
@@ -213,12 +215,11 @@ def _worst(
 def _driving_findings(
     evidence: TrustInputs, arms: Sequence[Bools], check: Check
 ) -> Iterator[TrustResult | None]:
-    """Test whether further friction terms would drive a joint, or joints that share motors, at
-    recorded speeds.
+    """Test whether further friction terms would drive a joint at recorded speeds.
 
-    A single term does not decide: square-root friction may be negative if viscous friction
-    compensates for it. Constant offsets are not friction. Per-recording parameters are tested at
-    the speeds of their recording.
+    The test also covers joints that share motors. A single term does not decide: square-root
+    friction may be negative if viscous friction compensates for it. Constant offsets are not
+    friction. Per-recording parameters are tested at the speeds of their recording.
     """
     idm, columns, each = evidence.problem.model, evidence.problem.base.columns, list[Array]()
     for problem, of_arm in zip(evidence.problems, arms, strict=True):
@@ -265,8 +266,9 @@ def _finding_of_inertia(
 
 
 def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
-    """Test whether a model without gravity fits better, as for compensated efforts, unless axes are
-    vertical.
+    """Test whether a model without gravity fits better, as for compensated efforts.
+
+    Robots whose axes are vertical are not tested.
     """
     base, rows, weighs = evidence.problem.base, evidence.observed, evidence.candidates.weighs
     if not len(weighs):
@@ -284,8 +286,9 @@ def _finding_of_gravity(evidence: TrustInputs) -> TrustResult | None:
 
 
 def consistent_test(evidence: TrustInputs) -> TrustResult | None:
-    """Return the distance to the nearest physically consistent parameters: chi², and the largest
-    change in half-widths.
+    """Return the distance to the nearest physically consistent parameters.
+
+    The distance is chi², and the largest change in half-widths.
     """
     problem, estimate, names = evidence.problem, evidence.estimate, evidence.arms[0].names
     if not problem.signals.robot.gain_known:

@@ -123,9 +123,9 @@ def _held_out(
 def _line_of(
     evidence: TrustInputs, names: list[str], norms: Array, without: str
 ) -> TrustResult | None:
-    """Return the result of parts, by the norms (k, 5) of their torque, of the errors held out and
-    fitted, and of those of weighted rows.
+    """Return the result of parts by their norms (k, 5).
 
+    The norms are of their torque, of the errors held out and fitted, and of those of weighted rows.
     `without` describes the other parts.
     """
     several = evidence.by_recording
@@ -221,8 +221,9 @@ def predictions_by_others(
 def _betas(
     evidence: TrustInputs, parts: list[tuple[str, Part, Array, list[str]]]
 ) -> list[Estimate]:
-    """Return the estimates that predict the parts; parameters that the others do not determine keep
-    the values of the whole fit.
+    """Return the estimates that predict the parts.
+
+    Parameters that the other parts do not determine keep the values of the whole fit.
     """
     whole = evidence.estimate
     return [whole if lost else replace(whole, beta=beta) for _, _, beta, lost in parts] or [whole]
@@ -231,12 +232,12 @@ def _betas(
 def with_predictions(
     evidence: TrustInputs, predict: Predict
 ) -> tuple[TrustInputs, tuple[HeldOut, ...], tuple[Array, Array, Bools, list[Array]]]:
-    """Add the results of predictions by the fit of other blocks or recordings, and by the a priori
-    links.
+    """Add the results of predictions by other fits and by the a priori links.
 
-    The a priori links are combined with everything else fitted to the others. Also return the
-    recordings so predicted (empty for blocks), the torques (T, n) as measured and by the fit, which
-    rows count, and the instants by recording.
+    The other fits are of other blocks or recordings. The a priori links are combined with
+    everything else fitted to the others. Also return the recordings so predicted (empty for
+    blocks), the torques (T, n) as measured and by the fit, which rows count, and the instants by
+    recording.
     """
     system, estimate = evidence.observed.system, evidence.estimate
     release_memory(evidence.observed.C)

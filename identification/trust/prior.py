@@ -1,5 +1,6 @@
-"""A-priori links, of a URDF or `[parameters]`, as a witness of the recording: by joint, and by
-mistakes that they show.
+"""Tests of a recording against a priori links, by joint and by mistakes that they show.
+
+The a priori links are of a URDF or of `[parameters]`, and serve as a witness of the recording.
 
 The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior
 does not know (rotors, friction), with instruments and weights of the fit. Only rows of joint j
@@ -48,10 +49,9 @@ FACTORS = {"degrees": 180 / np.pi, "sign": -1.0}  # of positions
 
 
 def prior_test(evidence: TrustInputs) -> TrustResult | None:
-    """Compare each joint's torque with that of the a priori links; detect swapped joints and other
-    units.
+    """Compare each joint's torque with that of the a priori links.
 
-    The result is never `do not use`.
+    The test detects swapped joints and other units. The result is never `do not use`.
     """
     if not evidence.prior or evidence.gains:
         return None
@@ -144,8 +144,10 @@ PRIOR = Words(
 
 
 def known_and_free(evidence: TrustInputs) -> tuple[Array, Ints]:
-    """Return the a priori values (p,) of the system's parameters, zero where there is none, and the
-    indices of those that are fitted instead.
+    """Return the a priori values (p,) of the system's parameters, and indices of the others.
+
+    The values are zero where there is no a priori value. Parameters with these indices are fitted
+    instead.
     """
     names, estimated = evidence.observed.system.names, evidence.estimate.names
     values = np.array([evidence.prior.get(base_name(name), np.nan) for name in names])
@@ -153,9 +155,9 @@ def known_and_free(evidence: TrustInputs) -> tuple[Array, Ints]:
 
 
 def _factors(evidence: TrustInputs) -> Array:
-    """Return for each joint (4, n) its factor, half the 95 % interval of that, and two shares of
-    torque variance.
+    """Return for each joint (4, n) its factor, its half-width, and two shares of variance.
 
+    The half-width is half the 95 % interval of the factor. The shares are of the torque variance.
     Both shares leave out what is not of links: what the a priori links explain with the factor, and
     their own. Values are zero where the factor is not well determined.
     """
@@ -258,8 +260,9 @@ def _mistakes(robot: Robot) -> Iterator[Mistake]:
 def _torque_of_links(
     evidence: TrustInputs, motion: Sequence[Array], mistakes: Sequence[Mistake]
 ) -> Array:
-    """Return the torque (rows, mistakes, n) of the a priori links, with the payload, along the
-    motions.
+    """Return the torque (rows, mistakes, n) of the a priori links along the motions.
+
+    The torque is with the payload.
     """
     problem, payload = evidence.problem, evidence.arms[0].payload
     beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])

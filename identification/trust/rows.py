@@ -21,8 +21,9 @@ END_ROWS = 5  # rows at each end that a bad edge affects
 
 
 def motion_test(evidence: TrustInputs) -> TrustResult | None:
-    """Test for joints that do not move in any recording: friction of creeping differs from that of
-    motion.
+    """Test for joints that do not move in any recording.
+
+    Friction of creeping differs from that of motion.
     """
     speed, robot = np.abs(evidence.observed.speed).max(axis=0), evidence.robot
     names = ", ".join(standing_joints(speed, robot.joints))
@@ -113,8 +114,9 @@ ROWS = Words(
 
 
 def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
-    """Return the note on positions that stay for one row and jump in the next, which are not
-    missing rows.
+    """Return the note on positions that stay for one row and jump in the next.
+
+    Such rows are not missing rows.
     """
     percent = 100 * coarse[:, 1:] / np.maximum(coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
@@ -127,8 +129,9 @@ def _slow_encoder(problem: Problem, coarse: Array, held: float) -> str:
 
 
 def ends_test(evidence: TrustInputs) -> TrustResult | None:
-    """Test for outliers of rows in motion, with a robust z-score above 6, especially at the
-    ends.
+    """Test for outliers of rows in motion, especially at the ends.
+
+    Outliers have a robust z-score above 6.
     """
     rho = np.abs(evidence.observed.tau - evidence.predicted)
     used = (evidence.observed.share > 0) & estimation.are_moving(evidence.observed.speed)

@@ -300,8 +300,9 @@ HALVES = Words(
 
 
 def _solve_part(evidence: TrustInputs, part: Part) -> estimation.Intervals | None:
-    """Return the intervals of the parameters by a time block; None if they are not well
-    determined.
+    """Return the intervals of the parameters by a time block.
+
+    The result is None if the parameters are not well determined.
     """
     rows = part[evidence.observed.system.span]
     values = np.linalg.eigvalsh(evidence.estimate.Q[rows].T @ evidence.estimate.Q[rows])

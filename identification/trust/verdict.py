@@ -126,11 +126,10 @@ def trust_in(evidence: TrustInputs) -> Trust:
 
 
 def _witness(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> str:
-    """Return a second sign that parameters far from a physically consistent model are wrong; "" for
-    none.
+    """Return a second sign that parameters far from a physically consistent model are wrong.
 
-    Such signs are a negative factor of the a priori links, an effort sign that fits better
-    reversed, or a large held-out error.
+    The text is "" if there is no such sign. Such signs are a negative factor of the a priori links,
+    an effort sign that fits better reversed, or a large held-out error.
     """
     consistent, of_prior = lines.get("physically consistent"), lines.get("a priori links")
     if (lines["physical plausibility"].value or 0.0) > 0 and (

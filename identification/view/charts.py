@@ -38,8 +38,9 @@ LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE,
 
 
 def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
-    """Chart every parameter: its 95 % interval in percent of the value, and other sets in half-
-    widths of this interval.
+    """Chart every parameter with its 95 % interval in percent of the value.
+
+    Other sets are in half-widths of this interval.
     """
     legend = [
         ("● essential", ORANGE),
@@ -170,8 +171,9 @@ def _around(marks: Sequence[Mark]) -> Axis:
 
 
 def interval_charts(excitation: Excitation) -> list[Rows]:
-    """Chart the expected half-width of every parameter's 95 % interval, in grey that of the plain
-    reference.
+    """Chart the expected half-width of every parameter's 95 % interval.
+
+    The half-width of the plain reference is grey.
     """
     pairs = np.stack([excitation.half, excitation.plain_half], axis=1).tolist()
     axis, halves = decades(pairs, 5), dict(zip(excitation.base.names, pairs, strict=True))
@@ -283,8 +285,9 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
 
 
 def study_chart(runs: Sequence[Run]) -> Rows:
-    """Chart errors of all runs by method, with medians of least squares and of converged
-    instrumental variables.
+    """Chart errors of all runs by method.
+
+    The chart has the medians of least squares and of converged instrumental variables.
     """
     names, marks, step = list[tuple[str, Color]](), list[Mark](), (STUDY_ROWS - 0.4) / len(runs)
     for top, name in ((0, "LS"), (STUDY_ROWS, "IV")):

@@ -86,8 +86,9 @@ def _line(t_s: Array, x: Array) -> Line:
 def _decimate(
     signals: Signals, settings: Settings | None, motion: FilteredMotion
 ) -> dict[str, list[Line]]:
-    """Return lines of the raw motion and torque, or of the filtered motion, for each quantity and
-    joint.
+    """Return lines of the raw motion and torque, or of the filtered motion.
+
+    There are lines for each quantity and joint.
     """
     start, stop, stride = (
         (0, len(signals.q), 1)
@@ -150,10 +151,9 @@ def extremes(x: Array, step: int) -> Ints:
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """Plot per joint the reference and simulated position minus the measured one, in a readable
-    unit.
+    """Plot per joint the reference and simulated position minus the measured one.
 
-    Without these the position is plotted.
+    The unit is a readable one. Without a reference and a simulation the position itself is plotted.
     """
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
@@ -190,8 +190,9 @@ def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
 
 
 def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
-    """Plot what is known of a quantity of joint j; of more than three joints side by side the first
-    has the legend.
+    """Plot what is known of a quantity of joint j.
+
+    Of more than three joints side by side the first has the legend.
     """
     joint, unit = signals.robot.joints[j], signals.robot.joints[j].position_unit
     units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
@@ -215,8 +216,9 @@ def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool =
 
 
 def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
-    """Plot per joint measured and predicted torque of decimated rows with their residual, and the
-    residual alone.
+    """Plot per joint measured and predicted torque of decimated rows with their residual.
+
+    The second list has plots of the residual alone.
     """
     robot, tau, tau_predicted = one.signals.robot, one.tau, one.tau_predicted
     torques, residuals = [], []
@@ -243,8 +245,9 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
 
 
 def column_plots(signals: Signals) -> list[Plot]:
-    """Plot other recorded columns: a plot per quantity with a curve per joint, of feedforward per
-    motor.
+    """Plot other recorded columns.
+
+    Each quantity has a plot with a curve per joint, or per motor for feedforward.
     """
     robot, plots = signals.robot, []
     of_joints, of_motors = (
@@ -284,8 +287,9 @@ def column_plots(signals: Signals) -> list[Plot]:
 
 
 def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tuple[Curve, ...]]:
-    """Return a curve per line, and for the title their unit; different units stand in their
-    names.
+    """Return a curve per line, and their unit for the title.
+
+    If the units differ, they are given in the names of the curves.
     """
     one = len(set(units)) == 1
     return f" [{units[0]}]" if one else "", tuple(
@@ -300,8 +304,9 @@ def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tup
 
 
 def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
-    """Plot for each joint position, speed and, if known, torque over one period, with their limits;
-    by quantity.
+    """Plot for each joint position, speed and, if known, torque over one period.
+
+    The plots show the limits of these quantities, and are returned by quantity.
     """
     robot, limits = excitation.robot, excitation.limits.effort
     t_s, q, dq, tau = excitation.curves()
@@ -339,8 +344,9 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
 
 
 def readable_unit(peak: float, unit: str) -> tuple[float, str]:
-    """Return factor and unit in which values up to `peak` rad or m are readable: rad, mrad or
-    µrad.
+    """Return factor and unit in which values up to `peak` rad or m are readable.
+
+    The unit of an angle is rad, mrad or µrad.
     """
     small = (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
     return (1.0, unit) if peak >= 1 or peak == 0 else small

@@ -1,8 +1,7 @@
-"""Write a picture as one HTML file without scripts and requests, to be mailed, read on any screen,
-and printed.
+"""Renderer of a result as one HTML file without scripts and requests.
 
-Panels are SVG: curves reduced to the pixels of a page, colours as classes that a style sheet sets
-for light and dark.
+The file can be mailed, read on any screen, and printed. Panels are SVG: curves reduced to the
+pixels of a page, colours as classes that a style sheet sets for light and dark.
 """
 
 import math
@@ -89,8 +88,9 @@ def write_html(path: Path, picture: Picture) -> None:
 
 
 def notebook_figure(panel: Panel) -> str:
-    """Return a panel with the style of the report, in a frame that keeps the style from the
-    notebook.
+    """Return a panel with the style of the report.
+
+    It is in a frame that keeps the style from the notebook.
     """
     height = (
         HEIGHT
@@ -111,8 +111,9 @@ def _style() -> str:
 
 
 def _page(page: Page) -> str:
-    """Return a view's figures, group by group, two single figures side by side; empty if it has
-    none.
+    """Return a view's figures, group by group, two single figures side by side.
+
+    The text is empty if the view has no figures.
     """
     rows = list[list[str]]()
     for panels in page.groups.values():

@@ -1,7 +1,7 @@
-"""The live page of a recording that is being written (`view --follow`): a picture for
-engineers, not a guard.
+"""The live page of a recording that is being written (`view --follow`).
 
-It reads the file alone, so that it cannot hold the recorder up.
+It is for engineers, and cannot stop the robot. It reads the file alone, so that it cannot hold the
+recorder up.
 """
 
 import socket
@@ -45,10 +45,10 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(
     path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]
 ) -> None:
-    """Show the recording at `path` until it is complete, in a viewer on this machine, or written to
-    `out`.
+    """Show the recording at `path` until it is complete.
 
-    `fit`: its JSON file, to show the residual torque too. `warn` gets warnings, one line each.
+    It is shown in a viewer on this machine, or written to `out`. `fit`: its JSON file, to show the
+    residual torque too. `warn` gets warnings, one line each.
 
     Raises
     ------
@@ -100,8 +100,9 @@ def _open_viewer(recording: Any) -> None:
 
 
 class Residual:
-    """Measured minus predicted torque of the newest rows, both after the filters of the errors of a
-    fit.
+    """Measured minus predicted torque of the newest rows.
+
+    Both are filtered as for the errors of a fit.
     """
 
     def __init__(self, stored: FitFile, place: str, robot: Robot) -> None:
@@ -162,7 +163,9 @@ class Residual:
 
 
 class LivePage:
-    """The live view: state on top, then by joint following error, effort, position, residual; then
+    """The live view.
+
+    The state is on top, then come by joint following error, effort, position and residual, and then
     the events.
     """
 

@@ -99,8 +99,9 @@ def draw_friction(before: results.Evidence, after: results.Evidence, document: D
 def draw_validation(
     validated: Sequence[FitOnRecording], document: Document, sha256: Mapping[str, str]
 ) -> Picture:
-    """Draw recordings that a fit is applied to, a view each: measured torque, predicted torque, and
-    the residual of the rows.
+    """Draw recordings that a fit is applied to, a view each.
+
+    A view has the measured torque, the predicted torque, and the residual of the rows.
     """
     return Picture(
         name=f"{validated[0].signals.robot.name} validation",
@@ -197,8 +198,9 @@ def _signal_pages(
     fit: FitOnRecording | None,
     residuals: Sequence[Plot],
 ) -> list[Page]:
-    """Return the views of a recording with or without a fit and its residuals: overview, signal
-    quality, motion.
+    """Return the views of a recording with or without a fit and its residuals.
+
+    The views are overview, signal quality, and motion.
     """
     lines = curves.lines_of(signals, settings, fit)
     torque = [curves.plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
@@ -236,8 +238,9 @@ def _signal_pages(
 def _friction_page(
     fits: Mapping[str, FitFile], recordings: Mapping[str, Sequence[FitOnRecording]]
 ) -> Page:
-    """Return the view of each joint's friction over its speed, for one fit or several side by
-    side.
+    """Return the view of each joint's friction over its speed.
+
+    It is of one fit, or of several side by side.
     """
     of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
     by_joint = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
@@ -245,8 +248,9 @@ def _friction_page(
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:
-    """Join the views of a fit to several recordings: all of the first, then the signals of the
-    others.
+    """Join the views of a fit to several recordings.
+
+    All views of the first recording come first, then the signals of the others.
     """
     first, *others = pictures
     return replace(

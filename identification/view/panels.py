@@ -1,5 +1,6 @@
-"""The content of a picture as plain data: curves, rows of values on axes, logs, robots; and
-their colors.
+"""The content of pages as plain data, and its colors.
+
+The content is curves, rows of values on axes, logs, and robots.
 """
 
 import math
@@ -95,8 +96,9 @@ class Axis:
 
 
 def linear(low: float, high: float, most: int) -> Axis:
-    """Return an axis between two ends, with at most `most` ticks at multiples of 1, 2 or 5 times a
-    power of ten.
+    """Return an axis between two ends, with at most `most` ticks.
+
+    The ticks are at multiples of 1, 2 or 5 times a power of ten.
     """
     if not high > low:
         return Axis(low=low, high=high, ticks={low: f"{low:.3g}"})
@@ -143,8 +145,9 @@ class Mark:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Column:
-    """Values of rows on an axis of their own, under a head; `lines` are values that all
-    rows are compared with.
+    """Values of rows on an axis of their own, under a head.
+
+    `lines` are values that all rows are compared with.
     """
 
     head: str
@@ -201,8 +204,9 @@ Panel = Graph | Rows | Log | Scene
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """Panels of one view, in groups of one kind, or with `tabs` of one thing; Rerun shows a group
-    at a time.
+    """Panels of one view, in groups of one kind, or with `tabs` of one thing.
+
+    Rerun shows a group at a time.
     """
 
     name: str
@@ -212,8 +216,9 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result: its name, report and views; `sha256` are those of its files by name, `first` is the
-    panel to look at first.
+    """A result with its name, report and views.
+
+    `sha256` are those of its files by name, `first` is the panel to look at first.
     """
 
     name: str

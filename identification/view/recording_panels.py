@@ -1,5 +1,6 @@
-"""What recordings show besides curves over time: spectra, events of the session, counters, and the
-friction of a fit over speed.
+"""Panels of recordings besides curves over time.
+
+They show spectra, events of the session, counters, and the friction of a fit over speed.
 """
 
 from collections.abc import Sequence
@@ -83,8 +84,9 @@ def health_plots(signals: Signals) -> list[Plot]:
 
 
 def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
-    """Chart spectra of position and effort of all joints over the time range of the settings, with
-    cut-off frequencies.
+    """Chart spectra of position and effort of all joints.
+
+    They are over the time range of the settings, with cut-off frequencies.
     """
     robot, fs, charts = signals.robot, signals.sample_rate_hz, []
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
@@ -126,8 +128,9 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
 
 
 def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
-    """Return frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged in 40
-    bands per decade.
+    """Return frequencies in Hz and amplitude density of x (N,) by Welch's method.
+
+    The density is averaged in 40 bands per decade.
     """
     length = int(min(len(x) // 2, 20 * sample_rate_hz))
     f, power = (
@@ -182,12 +185,12 @@ class _Friction:
 def friction_charts(
     fit: FitFile, recordings: Sequence[FitOnRecording], of: str = ""
 ) -> list[Graph]:
-    """Chart friction of each joint over its speed: rows as dots, the identified curve with its 95 %
-    interval.
+    """Chart friction of each joint over its speed.
 
-    There is a color per load. Dots are the measured torque minus all other predicted torque, the
-    offset too, in the rows of all recordings; in the first rows of a long one. With per-recording
-    parameters, dots use each recording's and curves their means.
+    Rows are dots, and the identified curve has its 95 % interval. There is a color per load. Dots
+    are the measured torque minus all other predicted torque, the offset too, in the rows of all
+    recordings; in the first rows of a long one. With per-recording parameters, dots use each
+    recording's and curves their means.
     """
     problem, names = recordings[0].problem, [p.name for p in fit.parameters]
     has = np.array([[name in one.names for name in names] for one in recordings], dtype=float)
@@ -251,8 +254,9 @@ def _friction_chart(friction: _Friction, j: int, of: str) -> Graph:
 
 
 def _friction_curve(friction: _Friction, j: int, speed: Array, load: float) -> Line:
-    """Return friction of joint j at speeds (k,) and a load, and half-widths of its 95 %
-    interval.
+    """Return friction of joint j at speeds (k,) and a load, with half-widths.
+
+    The half-widths are of its 95 % interval.
     """
     G = friction.share * friction_alone(
         friction.model, friction.columns, j, speed, np.full(len(speed), load)

@@ -1,5 +1,6 @@
-"""Write a picture to Rerun: series, events, the robot, and the report; charts are
-those of the HTML report.
+"""Renderer of a result as a Rerun file: series, events, the robot, and the report.
+
+Charts are those of the HTML report.
 """
 
 import hashlib
@@ -75,8 +76,9 @@ def write_rrd(path: Path, picture: Picture) -> None:
 
 
 def _arrange(page: Page, views: Mapping[str, Sequence[Any]], text: Sequence[Any]) -> Any:
-    """Arrange a view: its groups below each other or in tabs, beside them the robot and the
-    report.
+    """Arrange a view.
+
+    Its groups are below each other or in tabs; beside them are the robot and the report.
     """
     main = {key: group for key, group in views.items() if group and key != ROBOT}
     columns = 1 if page.tabs else MAX_COLUMNS
@@ -135,8 +137,9 @@ def _show(recording: Any, panel: Panel) -> Any:
 
 
 def event_view(origin: str, title: str) -> Any:
-    """Return a view of texts that repeat their times: the viewer cuts those of its column to four
-    letters.
+    """Return a view of texts that repeat their times.
+
+    The viewer cuts the times of its own column to four letters.
     """
     return rrb.TextLogView(
         origin=origin,

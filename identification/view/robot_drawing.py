@@ -1,5 +1,6 @@
-"""The moving robot in three dimensions, drawn by its URDF's shapes, or by a
-URDF made from its model.
+"""The moving robot in three dimensions.
+
+It is drawn by the shapes of its URDF, or by a URDF made from its model.
 """
 
 import hashlib
@@ -116,8 +117,9 @@ def _drawable(robot: Robot) -> str | None:
 
 
 def _write_mesh(content: bytes, suffix: str) -> Path | None:
-    """Write a recording's mesh to a file for Rerun, which reads only files; it is removed
-    when the program ends.
+    """Write a recording's mesh to a file for Rerun, which reads only files.
+
+    The file is removed when the program ends.
     """
     if suffix.lower() not in MESHES:
         return None
