@@ -1,7 +1,7 @@
-"""Identifies the base dynamic parameters of a robot from a recording.
+"""Identification of the base dynamic parameters of a robot from a recording.
 
-The rooms, lowest first. Other rooms use only what a room's `__init__` exports;
-imports only run down::
+The subpackages, and the modules `fits` and `notebook`, lowest first. They use of each other
+only what an `__init__` exports, and imports only run down::
 
     report       documents, their renderers, the JSON file of a fit, comparisons
     estimation   least squares, instrumental variables and their tests, on arrays
@@ -15,7 +15,8 @@ imports only run down::
     trust        tests of a solution
     methods      the method on one screen (`idim`), from recordings to a solution
     results      a fit with its tests, its file and its documents
-    study        robots with known parameters: simulated recordings, the demo, studies; fleets
+    study        robots with known parameters: simulated recordings, the demo, studies; fits of
+                 several robots over time
     export       a fit as URDF, MJCF and robot.toml; a description from a URDF
     design       exciting references, the choice of friction terms
     view         Rerun files and pages

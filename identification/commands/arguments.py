@@ -190,7 +190,7 @@ def refuse_outputs(
 
     Refused are outputs that replace an input, another output, a recording or a file of another kind
     (`refuse_clash`), or lie in a missing folder, and a `report` that is neither Markdown nor HTML.
-    The folder of a `picture`, a Rerun file, is not checked, because the fit is printed even if the
+    The folder of a Rerun file, `picture`, is not checked, because the fit is printed even if the
     file cannot be written.
     """
     from acquisition.files import refuse_clash

@@ -1,7 +1,7 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons.
 
 It owns `Document`, and the types of the files, which are read without the methods. It is the lowest
-room and may use none of the others.
+subpackage and may use none of the others.
 """
 
 from .comparison import (

@@ -2,7 +2,8 @@
 
 It owns `Evidence`, the solution of `methods` with its tests, and all that is said of it:
 `report.FitFile`, the report, the torque errors on other recordings, the nearest physically
-consistent parameters. It may use `methods` and the rooms below; `study` and all above use it.
+consistent parameters. It may use `methods` and the subpackages below; `study` and all above use
+it.
 """
 
 from .consistent import Known, consistent_set, with_consistent

@@ -1,7 +1,7 @@
 """Tests of an estimate against the recording, and one verdict.
 
 It owns every test, its words, and the terms that a model may lack. It may use `simulation` and the
-rooms below; `methods` gives it the inputs.
+subpackages below; `methods` gives it the inputs.
 """
 
 from .candidates import Candidates

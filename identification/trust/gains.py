@@ -1,4 +1,4 @@
-"""Tests of identified drive gains and of the payloads that tell them, and what these assume."""
+"""Tests of identified drive gains and of the payloads that show them, and what these assume."""
 
 from collections.abc import Iterator
 

@@ -2,8 +2,8 @@
 
 The a priori links are of a URDF or of `[parameters]`, and serve as a witness of the recording.
 
-The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior
-does not know (rotors, friction), with instruments and weights of the fit. Only rows of joint j
+The recorded torque of joint j is f_j times that of the a priori links, beside all that they do not
+include (rotors, friction), with instruments and weights of the fit. Only rows of joint j
 determine f_j: a wrong gain of a joint moves no other.
 
 For mistakes these are a rotor, viscous and Coulomb friction, and an offset. So by joint
@@ -17,7 +17,7 @@ mistake moves whole columns, so the links then explain the torques of all joints
 What is compared is therefore the sum over the joints of the logarithms of these shares: one joint
 that is far better explained counts as much as several that are a little better. The smallest sum is
 the cause, if it is below that of the recording as it is by `MIN_CAUSE`. Some 300 rows of the first
-recording tell it, and motions that several mistakes share are computed once.
+recording suffice to find it, and motions that several mistakes share are computed once.
 """
 
 from collections.abc import Iterator, Sequence

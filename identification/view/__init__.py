@@ -1,7 +1,7 @@
-"""Pictures of recordings, fits and studies, as Rerun files or HTML.
+"""Views of recordings, fits and studies, as Rerun files or HTML.
 
-It owns what a picture shows, as plain data (`panels`), and the renderers that draw it; it alone
-imports rerun. It may use every room below `commands`, and makes no fits itself. Only
+It owns what a view shows, as plain data (`panels`), and the renderers that draw it; it alone
+imports rerun. It may use every subpackage below `commands`, and makes no fits itself. Only
 `commands` and the notebook use it.
 """
 

@@ -47,7 +47,8 @@ class Curve:
 
     Lines are drawn in order of their keys, last in front.
 
-    `dashed` where the renderer can: told from grey by its shape too.
+    A `dashed` line is dashed where the renderer can do it, so that its shape too distinguishes it
+    from grey.
     """
 
     key: str
