@@ -37,9 +37,20 @@ Found = dict[Path, list[RecordingFile]]
 
 
 class FleetRow(ResultFile, frozen=True, kw_only=True):
-    """The fit of a recording, or of those of a folder together.
+    """The fit of a recording, or of the recordings of a folder together.
 
-    `failed` for a `reason`; `changed` by `with_changes`.
+    Attributes:
+        file: path of the recording, or of the folder.
+        sha256: SHA-256 digests of the recordings, separated by spaces; empty if the fit failed.
+        start: start of the first recording; None if it is not known.
+        robot: name of the robot.
+        method: method of the fit, `iv`, `wls` or `ols`.
+        status: status of the fit; `failed` for a `reason`.
+        verdict: verdict of the tests of the fit.
+        reason: why the fit failed or did not converge; empty if it did.
+        changed: parameters that changed since the fit before, by `with_changes`.
+        torque_error_percent: relative torque error of all joints, percent; None if the fit failed.
+        parameters: parameters with their 95 % intervals, by name; empty if the fit failed.
     """
 
     file: str
@@ -58,13 +69,21 @@ class FleetRow(ResultFile, frozen=True, kw_only=True):
 def found_recordings(
     folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False
 ) -> Found:
-    """Find every `*.mcap` under the folders; `by_folder` together with the others in its folder.
+    """Find every `*.mcap` under the folders.
 
-    The file `robot` replaces the stored descriptions.
+    Parameters
+    ----------
+    folders : folders to search, with their subfolders.
+    robot : robot.toml that replaces the recorded descriptions; None for the recorded ones.
+    by_folder : True to put recordings of the same folder together.
+
+    Returns
+    -------
+    The recordings of each entry, by the path of the recording, or of the folder.
 
     Raises
     ------
-    BadInputError : one of `folders` has no recording.
+    BadInputError : one of `folders` has no recording, or the description cannot be read.
     """
     files, found, described = set[Path](), Found(), load_robot(robot) if robot else None
     for folder in folders:
@@ -82,14 +101,27 @@ def found_recordings(
 def run_fleet(
     found: Found, method: Method | None, store: Path, work: Work, say: Callable[[str], None]
 ) -> list[FleetRow]:
-    """Return a row for each entry of `found`, ordered by start; those without a start come last.
+    """Return a row for each entry of `found`, ordered by start.
 
-    Each fit is stored in the folder `store`, and reused until a file, its description, the method
-    or versions of packages differ. A failure is a row with a `reason`.
+    Entries without a start come last. A failure is a row with a `reason`. A stored fit is reused
+    until a file, its description, the method or versions of packages differ.
+
+    Parameters
+    ----------
+    found : recordings by path, of `found_recordings`.
+    method : method of the fits; None for `iv` where recordings have their reference, else `wls`.
+    store : folder in which each fit is stored.
+    work : where the recordings are fitted.
+    say : called with a line of text after each new fit.
+
+    Returns
+    -------
+    The rows, with their changes by `with_changes`.
 
     Raises
     ------
-    BadInputError : a fit cannot be stored, or a worker ends early.
+    BadInputError : a fit cannot be stored, the workers cannot be used, or one ends early.
+    OSError : a recording no longer exists.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
     for path, sources in found.items():
@@ -154,10 +186,16 @@ def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
     """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before.
 
     The rows are compared in their order: fits of one robot in one folder by one method with a known
-        start, but not with the
-    verdict `do not use`. Of two independent estimates of one value with equal intervals 0.6 % are
-    named:
-    |a - b| > 2 * 1.96 sigma.
+    start, but not with the verdict `do not use`. Of two independent estimates of one value with
+    equal intervals 0.6 % are named: |a - b| > 2 * 1.96 sigma.
+
+    Parameters
+    ----------
+    rows : rows ordered by start.
+
+    Returns
+    -------
+    The rows in the same order, each with `changed`.
     """
     marked, before = list[FleetRow](), dict[tuple[str, ...], FleetRow]()
     for row in rows:
@@ -174,12 +212,20 @@ def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
 
 
 def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
-    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet file, completely or
-    not at all.
+    """Write the rows as a table, completely or not at all.
 
     Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width of
     its 95 % interval, with the `unit` in the metadata of a Parquet column. Missing values are null,
     in CSV empty.
+
+    Parameters
+    ----------
+    path : file to write; CSV if it ends in .csv, else Parquet.
+    rows : rows of the table.
+
+    Raises
+    ------
+    BadInputError : the file cannot be written.
     """
     import pyarrow
     from pyarrow import csv, parquet
@@ -211,8 +257,17 @@ def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
 
 
 def fleet_document(rows: Sequence[FleetRow]) -> Document:
-    """Make the printed table: a line per fit with the changes since the one before, and the reasons
-    of failures.
+    """Make the printed table of fits.
+
+    It has a line per fit with the changes since the one before, and the reasons of failures.
+
+    Parameters
+    ----------
+    rows : rows of `run_fleet`.
+
+    Returns
+    -------
+    The report.
     """
     table = Table(
         columns=(

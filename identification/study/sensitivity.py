@@ -29,11 +29,16 @@ Values = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """A fit by the rules in which one thing is `changed`, to the value `to`.
+    """A fit with the default settings in which one thing is `changed`, to the value `to`.
 
-    `noise` is white noise, rad or m rms, that is added to the recorded position after the control
-    loop; `start` are initial inertias, kg m² or kg. Without `gain_update` the
-    simulated robot keeps the recorded gains.
+    Attributes:
+        changed: what is changed; `none` for the fit with the default settings.
+        to: its value, in words.
+        overrides: settings that replace those of the description.
+        noise: white noise, rad or m rms, that is added to the recorded position after the control
+            loop.
+        start: initial inertias, kg m² or kg; None to start from least squares.
+        gain_update: False if the simulated robot keeps the recorded gains.
     """
 
     changed: str
@@ -46,10 +51,18 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, with `units`, empty without a fit.
+    """The estimates of a variant by both methods.
 
-    `ended` is the status of iv after so many `passes`, or why there is no fit. `known`: the values
-    of `[parameters]` are `true`, of a simulation, or `described`.
+    Attributes:
+        variant: what was changed.
+        ended: status of iv, or why there is no fit.
+        passes: number of iterations of iv.
+        values: LS, its 95 % half-width, IV, and its 95 % half-width by parameter; empty without a
+            fit.
+        essential: names of the essential parameters.
+        units: units by parameter; empty without a fit.
+        known: `true`, of a simulation, or `described`; and the values of `[parameters]` by
+            parameter.
     """
 
     variant: Variant
@@ -62,8 +75,25 @@ class VariedFit:
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
-    """Fit by the rules, and once per variant; `noises` of the position are in rad or m rms, None by
-    the travel.
+    """Fit a recording with the default settings, and once per variant.
+
+    Parameters
+    ----------
+    source : the recording.
+    noises : noises to be added to the position, rad or m rms; None for shares of the travel of the
+        joint that travels least.
+    work : where the variants are fitted.
+
+    Returns
+    -------
+    The fits; the first has the default settings. A variant that cannot be fitted has the reason in
+    `ended`.
+
+    Raises
+    ------
+    BadInputError : the recording cannot be read, a setting does not suit it, or a worker ends
+        early.
+    NoFitError : the fit with the default settings failed.
     """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
@@ -94,7 +124,23 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
 
 @one_thread
 def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
-    """Return both fits of a variant; the noise of all variants has one seed."""
+    """Fit a variant by both methods.
+
+    The noise of all variants has one seed.
+
+    Parameters
+    ----------
+    source : the recording.
+    variant : what is changed.
+
+    Returns
+    -------
+    Both fits. If one cannot be made, there are no values, and `ended` says why.
+
+    Raises
+    ------
+    BadInputError : the recording cannot be read.
+    """
     signals = source.load()
     signals = replace(
         signals,
@@ -131,10 +177,17 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
 
 
 def changes_of(fits: Sequence[VariedFit], name: str) -> Array:
-    """Return changes (fits, 4) of LS and of IV from the fit by the rules, in half-widths of IV
-    there, and in their own.
+    """Return the changes of a parameter from the fit with the default settings.
 
-    Missing values are NaN.
+    Parameters
+    ----------
+    fits : fits of `vary`; the first has the default settings.
+    name : name of the parameter.
+
+    Returns
+    -------
+    Absolute changes, shape (fits, 4): of LS and of IV in half-widths of IV in the first fit, then
+    of LS and of IV in half-widths of the changed fit. Missing values are NaN.
     """
     ls, _, iv, half = fits[0].values[name]
     values = np.array([fit.values.get(name, (np.nan,) * 4) for fit in fits])
@@ -146,6 +199,15 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     """Make the report of the largest changes of both methods by variant, and all values.
 
     The title says where least squares changes most.
+
+    Parameters
+    ----------
+    recording : name of the recording.
+    fits : fits of `vary`; the first has the default settings.
+
+    Returns
+    -------
+    The report.
     """
     names = fits[0].essential or tuple(fits[0].values)
     # (parameters, fits, both methods twice)

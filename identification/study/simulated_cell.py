@@ -69,6 +69,14 @@ class Noise(CellOptions):
 
     The controller sees the position with encoder steps and noise. The recorded torque is the mean
     of the control periods before and after its instant, as after the filter of a drive.
+
+    Attributes:
+        encoder_step: step of the encoder, rad or m.
+        position: noise of the encoder, rad or m rms.
+        effort_percent: white noise of the recorded torque, percent of each joint's rms torque.
+        coloured_percent: coloured noise, AR(0.98), of the recorded torque, percent of each joint's
+            rms torque.
+        lag_samples: delay of the recorded torque, samples.
     """
 
     @property
@@ -125,7 +133,20 @@ class Noise(CellOptions):
 
 
 def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
-    """Return the base parameters of the robot and their true values (b,) in a study."""
+    """Return the base parameters of the robot and their true values in a study.
+
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]`.
+
+    Returns
+    -------
+    The base parameters, and their values, shape (b,), in SI units.
+
+    Raises
+    ------
+    BadInputError : the description has no `[parameters]`, or the robot cannot be modelled.
+    """
     idm = dynamics.InverseModel(robot)
     base = dynamics.base_parameters(idm)
     return base, dynamics.described_parameters(idm, base)
@@ -155,14 +176,27 @@ def periodic_reference(
 def random_reference(
     robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int, period_s: float = PERIOD_S
 ) -> Array:
-    """Return a random exciting reference (N, n), rad or m, at rest at both ends.
+    """Return a random exciting reference, at rest at both ends.
 
-    It is a Fourier series within the limits of the robot. The same seed gives the same reference.
-    The length is a whole number of periods of about `period_s`, one if it is shorter.
+    It is a Fourier series within the limits of the robot. The length is a whole number of periods,
+    one if it is shorter.
+
+    Parameters
+    ----------
+    robot : the robot; each joint needs a position range.
+    duration_s : length, s.
+    sample_rate_hz : sample rate, Hz.
+    seed : seed; the same one gives the same reference.
+    period_s : approximate period, s.
+
+    Returns
+    -------
+    Reference positions, shape (N, n), rad or m.
 
     Raises
     ------
-    BadInputError : the reference has fewer than 100 samples, or more than a day of them.
+    BadInputError : a joint has no range, or the reference has fewer than 100 or more than 10⁸
+        samples.
     """
     samples = duration_s * sample_rate_hz
     Location("").require(
@@ -185,15 +219,26 @@ def closed_loop(
     seed: int,
     payload: Payload | None = None,
 ) -> Signals:
-    """Simulate the robot of `[parameters]` with a payload along the reference q_ref (N, n), rad or
-    m.
+    """Simulate the robot of `[parameters]` in closed loop along a reference.
 
-    `sample_rate_hz` is that of reference, recording and controller, which sees the noise of the
-    encoder. The signals are returned.
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]`.
+    q_ref : reference positions, shape (N, n), rad or m.
+    sample_rate_hz : sample rate of reference, recording and controller, Hz.
+    noise : noise of the measurements; the controller sees that of the encoder.
+    seed : seed of the noise.
+    payload : payload of the robot; None for no payload.
+
+    Returns
+    -------
+    The signals.
 
     Raises
     ------
-    BadInputError : the description has no values or another rate, or the robot does not follow.
+    BadInputError : the description has no `[parameters]`, an incomplete controller, neither a
+        controller nor a bandwidth, or a controller of another rate.
+    NoFitError : the robot does not follow the reference.
     """
     model, loop = true_model(robot, payload), described_law(robot)
     if loop is None:
@@ -251,9 +296,18 @@ def _spans(q: Array, rate_hz: float) -> Iterator[tuple[slice, Array, Array]]:
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
-    """Write simulated signals of a `source` as a recording, completely or not at all.
+    """Write simulated signals as a recording, completely or not at all.
 
-    `noise`: that of the simulation, for metadata.
+    Parameters
+    ----------
+    path : MCAP file to write.
+    signals : the signals.
+    source : text on how they were made, for the metadata.
+    noise : noise of the simulation, for the metadata; None if there is none to be named.
+
+    Raises
+    ------
+    BadInputError : the file cannot be written.
     """
     provenance, notes = "simulated joint torque", {"simulated": "true"}
     if noise is not None:
@@ -292,15 +346,23 @@ def record_simulated_session(
     payload: Payload | None = None,
     described: Robot | None = None,
 ) -> None:
-    """Record a session in which simulated drives track a random exciting reference with the robot
-    of `[parameters]`.
+    """Record a session in which simulated drives track a random exciting reference.
 
-    `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of
-    `robot`; the recording has `described`, by default the same.
+    The drives move the robot of `[parameters]`.
+
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]` and `[bus]`; the drives are its drives.
+    place : name of the description in errors.
+    out : MCAP file to write.
+    noise_percent : noise of the torque, percent of each joint's rms torque.
+    payload : payload of the robot; None for no payload.
+    described : description in the recording; None for that of `robot`.
 
     Raises
     ------
-    BadInputError : the description has no `[bus]` or values, or the session failed.
+    BadInputError : the description has no `[bus]` or values, the drives or the reference are not
+        described completely, or the session failed.
     """
     period_s = (
         Location(place)
@@ -347,7 +409,16 @@ def record_simulated_session(
 
 
 def description(name: str) -> Path:
-    """Return the description of a robot of this project: `scara` or `tx40`."""
+    """Return the description of a robot of this project.
+
+    Parameters
+    ----------
+    name : `scara` or `tx40`.
+
+    Returns
+    -------
+    The path of its robot.toml.
+    """
     installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
     return (
         installed
@@ -357,10 +428,23 @@ def description(name: str) -> Path:
 
 
 def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list[float]:
-    """Record sessions without and with the payload, of drives whose gains differ from those
-    described.
+    """Record sessions without and with the payload, to identify drive gains.
 
-    The true gains are returned.
+    The gains of the simulated drives differ from those described.
+
+    Parameters
+    ----------
+    robot : a robot of this project, with `[parameters]` and `[bus]`.
+    place : name of the description in errors.
+    paths : MCAP files to write, without and with the payload.
+
+    Returns
+    -------
+    The true drive gains by motor, N m/A.
+
+    Raises
+    ------
+    BadInputError : as in `record_simulated_session`, or a file cannot be written.
     """
     described = CATALOGUE[: robot.n]
     true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]

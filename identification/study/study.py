@@ -58,8 +58,19 @@ class Study(StudyOptions):
 def simulate_recording(
     robot: Robot, out: Path, study: Study, payload: Payload | None = None
 ) -> None:
-    """Write a recording of the robot of `[parameters]`: length, rate, seed and
-    noise are those of a study.
+    """Write a recording of the simulated robot of `[parameters]`.
+
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]`.
+    out : MCAP file to write.
+    study : length, sample rate, seed and noise.
+    payload : payload of the robot; None for no payload.
+
+    Raises
+    ------
+    BadInputError : as in `random_reference` and `closed_loop`, or the file cannot be written.
+    NoFitError : the robot does not follow the reference.
     """
     write_signals(
         out,
@@ -113,9 +124,14 @@ class RunFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One run, and its fits if it has any.
+    """One run of a study, and its fits if it has any.
 
-    `status` is that of IV; `reason`: why it is not `converged`, or why there is no fit.
+    Attributes:
+        number: number of the run, from 0.
+        status: status of IV.
+        reason: why it is not `converged`, or why there is no fit; None if it converged.
+        ls: the fit by least squares; None if it failed.
+        iv: the fit by instrumental variables; None if it failed.
     """
 
     number: int
@@ -126,11 +142,22 @@ class Run:
 
 
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
-    """Simulate and fit all runs in order; one that fails has a `reason`.
+    """Simulate and fit all runs of a study.
+
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]`.
+    study : number, length, sample rate, seed and noise of the recordings.
+    work : where the runs are simulated and fitted.
+
+    Returns
+    -------
+    The runs in order, as an iterator; a run that fails has a `reason`.
 
     Raises
     ------
-    BadInputError : the description has no values.
+    BadInputError : the description has no `[parameters]`, or neither a controller nor a bandwidth.
+        The iterator raises it too, if a worker ends early.
     """
     study_truth(robot)
     if robot.controller.structure is None:
@@ -140,9 +167,23 @@ def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
 
 @one_thread
 def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
-    """Simulate and fit run `number` of a study of the robot described by `files`.
+    """Simulate and fit one run of a study.
 
     The same number gives the same run.
+
+    Parameters
+    ----------
+    files : files of the description by name.
+    study : length, sample rate, seed and noise of the recordings.
+    number : number of the run.
+
+    Returns
+    -------
+    The run; if it fails, with a `reason`.
+
+    Raises
+    ------
+    BadInputError : a file of the description is missing or wrong, or has no `[parameters]`.
     """
     robot, run = robot_from_files(files, "study"), Run(number=number)
     base, true = study_truth(robot)
@@ -197,7 +238,17 @@ class Summary:
 
 
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
-    """Return one summary per method; `true` (b,) are the values simulated with."""
+    """Return one summary per method.
+
+    Parameters
+    ----------
+    runs : the runs.
+    true : values of the base parameters simulated with, shape (b,).
+
+    Returns
+    -------
+    The summaries of `wls` and `iv`.
+    """
     rows = []
     for method, kind in METHODS:
         fits = [
@@ -230,8 +281,19 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
 
 
 def false_trust(fit: RunFit, true: Array) -> bool:
-    """Test whether the verdict is wrongly `trust`: an essential parameter is far off, or M is not
+    """Test whether the verdict is wrongly `trust`.
+
+    It is wrong if an essential parameter is more than `FALSE_TRUST` half-widths off, or if M is not
     positive.
+
+    Parameters
+    ----------
+    fit : the fit of a run.
+    true : true values of the base parameters, shape (b,).
+
+    Returns
+    -------
+    True if the verdict is `trust` and wrong.
     """
     off = fit.half_widths_off(true)[fit.essential]
     return fit.verdict == "trust" and (not fit.positive or bool((off > FALSE_TRUST).any()))
@@ -240,8 +302,19 @@ def false_trust(fit: RunFit, true: Array) -> bool:
 def study_file(
     study: Study, runs: Sequence[Run], base: BaseParameters, true: Array
 ) -> dict[str, Any]:
-    """Make the JSON file of a study: settings, names of the parameters, their true values (b,),
-    summaries, every run.
+    """Make the JSON file of a study.
+
+    Parameters
+    ----------
+    study : settings of the study.
+    runs : all runs.
+    base : base parameters of the robot.
+    true : their true values, shape (b,).
+
+    Returns
+    -------
+    The content by key: settings, names of the parameters, their true values, summaries, and every
+    run.
     """
     return {
         "study": study,
@@ -253,8 +326,18 @@ def study_file(
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
-    """Make the report of a study: summaries by method, its settings, and the runs with false
-    trust.
+    """Make the report of a study.
+
+    Parameters
+    ----------
+    robot : name of the robot.
+    study : settings of the study.
+    runs : the runs made.
+    true : true values of the base parameters, shape (b,).
+
+    Returns
+    -------
+    The report: summaries by method, the settings, and the runs with false trust.
     """
     table = Table(
         columns=columns("method", numbers=HEADINGS),
@@ -281,10 +364,21 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
 
 
 def border_line(robot: Robot) -> tuple[str, ...]:
-    """Return a line on what the study simulated without friction or rotor, which no real robot
-    lacks.
+    """Return a line on the friction and rotors that the study simulated without.
 
-    The line is empty if all have values.
+    No real robot lacks these.
+
+    Parameters
+    ----------
+    robot : the robot, with `[parameters]`.
+
+    Returns
+    -------
+    The line, or nothing if all have values.
+
+    Raises
+    ------
+    BadInputError : the description has no `[parameters]`, or the robot cannot be modelled.
     """
     model = InverseModel(robot)
     names = [
@@ -299,9 +393,20 @@ def border_line(robot: Robot) -> tuple[str, ...]:
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
-    """Make the JSON file of base parameters, with the `true` values (b,) if known.
+    """Make the JSON file of base parameters.
 
     Their names end with a joint's number from 1.
+
+    Parameters
+    ----------
+    base : the base parameters.
+    robot : the robot.
+    true : their true values, shape (b,), in SI units; None if they are not known.
+
+    Returns
+    -------
+    The content by key: robot, joint names, and parameters with name, expression, unit and, if
+    known, value.
     """
     each = {
         "name": base.names,
@@ -319,10 +424,18 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
 
 
 def base_document(base: BaseParameters, robot: Robot) -> Document:
-    """Make the report of the base parameters as sums of standard parameters, in short the regrouped
-    ones.
+    """Make the report of the base parameters as sums of standard parameters.
 
-    Its joints are numbered.
+    The short form has the regrouped ones.
+
+    Parameters
+    ----------
+    base : the base parameters.
+    robot : the robot.
+
+    Returns
+    -------
+    The report, with the numbers of the joints.
     """
     table = Table(
         columns=columns("name", "expression", "unit"),
@@ -344,9 +457,17 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
 
 
 def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Document:
-    """Make the report of estimates, half-widths of their 95 % intervals, and errors in these.
+    """Make the report of estimates next to the true values of a simulated recording.
 
-    They stand next to the true values of a simulated recording.
+    Parameters
+    ----------
+    robot : name of the robot.
+    fits : fits of the recording by different methods.
+    true : true values of the base parameters, shape (b,).
+
+    Returns
+    -------
+    The report: estimates, half-widths of their 95 % intervals, and errors in these.
     """
     halves, rows = [fit.intervals.half for fit in fits], list[Row]()
     for i, (name, x) in enumerate(zip(fits[0].base.names, true, strict=True)):
@@ -387,7 +508,14 @@ def truth_document(robot: str, fits: Sequence[Evidence], true: Array) -> Documen
 def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
     """Make the report of identified drive gains beside the described and the true ones.
 
-    Each has its error in half-widths.
+    Parameters
+    ----------
+    fit : fit with drive gains.
+    true : true gains by motor, in the unit of the identified ones.
+
+    Returns
+    -------
+    The report; each gain has its error in half-widths.
     """
     off = [x.value - y for x, y in zip(fit.gains, true, strict=True)]
     within = sum(abs(x) <= one.half_width for x, one in zip(off, fit.gains, strict=True))
