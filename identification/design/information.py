@@ -30,7 +30,7 @@ SAMPLE_RATE_HZ = 1000.0  # of a recording, if the description gives no rate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PriorInformation:
-    """What is known about the robot before the motion.
+    """Knowledge of the robot before the motion.
 
     Attributes:
         beta: base parameters for the torque, shape (b,); None if unknown.

@@ -1,4 +1,4 @@
-"""Write a model as a URDF (the user's own with new values, or a new one) and as a MuJoCo model.
+"""Models as a URDF (the user's own with new values, or a new one) and for MuJoCo.
 
 An identified link is lumped: it is the link that a joint moves, with all links fixed to it or
 carried by locked joints. In the user's URDF the moved link gets the lumped inertia minus the

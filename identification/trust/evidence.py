@@ -1,4 +1,4 @@
-"""What a test of a fit is given, and what it says: its row with all its words.
+"""Inputs of a test of a fit, and its results: its row with all its words.
 
 A test is a function that finds which of its cases holds, and the figures. All words stand in its
 row, below it, as templates of these figures: the terminal, the report and the JSON print the case

@@ -62,6 +62,7 @@ GONE = (
     r"as good as|\bas of\b|\bis none\b|(?<!here )\bis no (?!longer)|\bthe same of\b",
     r"what is (given|known)",
 )
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 # No docstring of a function begins with these: it says what the function does.
 FIRST = {
     *("A", "All", "An", "And", "At", "Both", "By", "Each", "For", "From", "How", "If", "In", "Its"),
@@ -152,19 +153,22 @@ def test_tests_of_a_fit_have_terms_of_the_field():
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_docstrings_of_functions_say_what_they_do(package):
-    """Records and properties have noun phrases."""
+def test_docstrings_begin_with_one_short_sentence(package):
+    """It has one line and says what a function does; records and properties have noun phrases."""
     wrong = []
     for path in sorted((ROOT / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if not isinstance(node, ast.FunctionDef) or not (text := ast.get_docstring(node)):
+            if not isinstance(node, DOCUMENTED) or not (text := ast.get_docstring(node)):
                 continue
-            kinds = {ast.unparse(one).rpartition(".")[2] for one in node.decorator_list}
-            if kinds & {"property", "cached_property"}:
-                continue
-            first = text.split()[0]
-            if first.strip(",:;") in FIRST or not first[0].isalpha() or not first[0].isupper():
-                wrong.append(f"{path.relative_to(ROOT)}: {node.name}: {text[:60]}")
+            kinds = {
+                ast.unparse(one).rpartition(".")[2] for one in getattr(node, "decorator_list", ())
+            }
+            acts = isinstance(node, ast.FunctionDef) and not kinds & {"property", "cached_property"}
+            first, line = text.split()[0], text.splitlines()[0]
+            if not line.endswith((".", ":")) or (
+                acts and (first.strip(",:;") in FIRST or re.match(r"[A-Z]\w", first) is None)
+            ):
+                wrong.append(f"{path.relative_to(ROOT)}: {getattr(node, 'name', '')}: {line}")
         if "| |" in path.read_text():
             wrong.append(f"{path.relative_to(ROOT)}: rows of a table on one line")
     assert wrong == []
