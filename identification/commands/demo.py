@@ -22,7 +22,8 @@ NEXT = (  # by number: what to do, and its commands
     ("2.", "Check drives and bus:", "robot-acquire check robot.toml"),
     (
         "3.",
-        "Record (moves the robot; try --dry-run first), or import a log:",
+        "Design a motion and record it (moves the robot; try --dry-run first), or import a log:",
+        "robot-identify excite robot.toml -o ref.csv",
         "robot-acquire record robot.toml -o log.mcap --track ref.csv",
         "robot-acquire import log.csv --robot robot.toml",
     ),

@@ -341,8 +341,8 @@ def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> Itera
     )
     if limits.model is not None and free:
         yield (
-            f"the torque of joint {free} is not limited, because robot.toml has neither effort_nm "
-            "or effort_n nor a saturation of the motor"
+            f"the reference may exceed the torque limits of {free}, because robot.toml gives none: "
+            "set effort_nm, effort_n or the motor's saturation"
         )
     if mus:
         yield (

@@ -71,7 +71,7 @@ GAINS = Words(
     by=gains_test,
     of_data=True,
     advice="Check which recording has the payload, and its mass.",
-    detects="With `--gains` only: drive gains that are negative, not well determined, or all wrong "
+    detects="With `--gains` only: drive gains that are negative, imprecise, or all wrong "
     "by one factor",
     limit="`do not use`: a drive gain is negative, or no half-width is below 50 %. `caution`: none "
     "is below 10 %, or all gains differ from the given ones by one factor of more than 10 %",

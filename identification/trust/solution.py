@@ -185,7 +185,7 @@ ESSENTIAL = Words(
     place=200,
     by=essential_test,
     advice="Record faster, longer motion.",
-    detects="Recordings in which no inertia is well determined",
+    detects="Recordings that show no inertia precisely",
     limit="`caution`: no inertia has an interval narrower than its value",
     cases={
         "ok": Case("ok", "{essential} of {count} well determined"),
@@ -193,7 +193,7 @@ ESSENTIAL = Words(
             "caution",
             "no inertia has an interval narrower than its value",
             "Record faster, longer motion.",
-            "no inertia is well determined",
+            "no inertia is precise",
         ),
     },
 )

@@ -360,8 +360,8 @@ def test_excess_gravity_refused():
 
 NOT_CHECKED = "torques are not checked, because there is neither a fit nor [parameters]"
 NOT_LIMITED = (
-    "the torque of joint shoulder, elbow is not limited, because robot.toml has neither effort_nm "
-    "or effort_n nor a saturation of the motor"
+    "the reference may exceed the torque limits of shoulder, elbow, because robot.toml gives none: "
+    "set effort_nm, effort_n or the motor's saturation"
 )
 LEFT_OUT = (
     "load-dependent friction (mu1, mu2) counts in the effort limits, but not in the expected "

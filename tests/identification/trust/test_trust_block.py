@@ -215,7 +215,7 @@ def test_uncertain_inertia_is_caution():
         f"{len(evidence.essential)} of 8 well determined",
     )
     told = essential_test(replace(evidence, essential=("Fv1", "Fc1", "Fc2")))
-    assert (told.level, told.finding) == ("caution", "no inertia is well determined")
+    assert (told.level, told.finding) == ("caution", "no inertia is precise")
     fit, _ = examined("wls", "scara")
     assert set(fit.essential_names) <= set(fit.essential.names)
     wide = replace(
