@@ -203,7 +203,7 @@ def interval_charts(excitation: Excitation) -> list[Rows]:
 def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
     """Chart the essential parameters in all variants by both methods with 95 % intervals.
 
-    Lines mark the values of IV by the rules.
+    Lines mark the interval of IV by default settings.
     """
     return [
         Rows(
@@ -214,7 +214,7 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
                 for k, fit in enumerate(fits)
             ],
             columns=[_sensitivity_column(fits, name) for name in part],
-            legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY)),
+            legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by default settings", GREY)),
         )
         for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS)
     ]
