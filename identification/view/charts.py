@@ -214,7 +214,7 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
                 for k, fit in enumerate(fits)
             ],
             columns=[_sensitivity_column(fits, name) for name in part],
-            legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by default settings", GREY)),
+            legend=(("× LS", PURPLE), ("● IV", ORANGE), ("| IV by default settings", GREY)),
         )
         for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS)
     ]
