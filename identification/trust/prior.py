@@ -94,9 +94,9 @@ PRIOR = Words(
     advice="Check drive gain, ratio, units and order of columns, then the URDF.",
     detects="A joint torque that differs from that of the links in the URDF or `[parameters]`, if "
     "gains are known: the factor between them, with rotor and friction fitted too",
-    limit="`caution`: a factor is below 0.5 or above 2, outside its interval; correcting a mistake "
+    limit="`caution`: the whole interval of a factor is below 0.5 or above 2; correcting a mistake "
     "(swapped columns, units, a sign, a zero, gravity) lets these links explain the torque far "
-    "better; or all factors are near 0. `inconclusive`: all factors are outside. Never `do not "
+    "better; or all factors are near 0. `inconclusive`: this holds for all factors. Never `do not "
     "use`",
     cases={
         "cause": Case(
