@@ -101,8 +101,8 @@ ADDED_COLUMNS = Words(
     "ratio or delay of one joint, clock drift, hysteresis. A term that explains as much at the "
     "same joint is named too",
     limit="`caution`: t is above 5, and the term explains more than 2 % of the residual variance "
-    "(10 % for a lone spring or a part of the time). A delay counts if it changes an essential "
-    "parameter by more than one half-width",
+    "(10 % for a lone spring or friction of a part of the time). A delay counts if it changes "
+    "an essential parameter by more than one half-width",
     cases={
         "every term": Case("skipped", "the model has every term that is tried"),
         "missing": Case("caution", "{strongest}{more}", "{each}.", "{finding}"),

@@ -95,9 +95,9 @@ LAG = Words(
     advice="Set `effort_timing`, use `--method iv`, or record longer moves.",
     detects="The delay of the recorded torque after the motion. IV [estimates and corrects "
     "it](method.md#delay-of-the-torque), and the intervals include it",
-    limit="`caution`: it is not estimated although there is a reference, and its standard error "
-    "changes an essential parameter by more than one half-width (without the delay); a torque "
-    "comes before its command; or a given `torque_lag_s` differs from the data at t > 4. "
+    limit="`caution`: there is a reference, but it is not estimated, and its assumed uncertainty "
+    "changes an essential parameter by more than one half-width; a torque comes before its "
+    "command; or a given `torque_lag_s` differs from the data at t > 4. "
     "`inconclusive`: it is not estimated, for lack of a reference",
     cases={
         "contradicted": Case(

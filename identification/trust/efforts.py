@@ -60,7 +60,7 @@ SIGNS = Words(
     place=10,
     by=signs_and_order_test,
     of_data=True,
-    advice="Correct columns and signs in `map.toml`, and import again.",
+    advice="Correct columns and signs (in the map, or of drives in robot.toml), and import again.",
     detects="Swapped efforts, and wrong signs of efforts or positions. If a torque error is more "
     "than 5 %, or a motor absorbs power, each such correction is tried in turn",
     limit="`do not use`: a correction reduces the torque error to half or less (to 95 % or less, "

@@ -92,7 +92,7 @@ ROWS = Words(
     by=rows_test,
     of_data=True,
     advice="Record timestamps or a row counter, and record again.",
-    detects="Missing or repeated rows: position steps that are double or zero, with a robust "
+    detects="Missing or repeated samples: position steps that are double or zero, with a robust "
     "z-score above 10",
     limit="`caution`: more than 0.1 % of the rows in motion. `passed`: [unmeasured "
     "rows](#rows-and-filters) have zero weight, or the encoder is slower than the log",
