@@ -425,7 +425,7 @@ def test_readme_lines_and_examples_run(tmp_path, monkeypatch, capsys):
         told = capsys.readouterr().out
         assert told.startswith(begin)
         assert "ZZ1R" in told
-        Path("log.mcap").unlink()
+        Path("log.mcap").unlink(missing_ok=True)
     for name in ("report.html", "robot.xml"):
         (tmp_path / name).unlink()
     exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
