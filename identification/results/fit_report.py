@@ -141,7 +141,7 @@ def _summary_section(fit: FitFile) -> Section:
         + ("" if fitted is None else f", {shared.percent(fitted)} fitted, over the same rows")
         + ("" if by_prior is None else f"; a priori links {shared.percent(by_prior)}"),
         "Parameters": _determined(percents, fit.size),
-        "Assumed": f"{assumed} (assumptions that no test covers)" if assumed else "",
+        "Assumed": f"{assumed} (no test confirms them)" if assumed else "",
         "Status": fit.reason or "",
         "Least squares": f"{by_ls} torque error (wls)" if fit.status in NO_FIXED_POINT else "",
     }

@@ -96,8 +96,8 @@ LAG = Words(
     detects="The delay of the recorded torque after the motion. IV [estimates and corrects "
     "it](method.md#delay-of-the-torque), and the intervals include it",
     limit="`caution`: there is a reference, but it is not estimated, and its assumed uncertainty "
-    "changes an essential parameter by more than one half-width; a torque comes before its "
-    "command; or a given `torque_lag_s` differs from the data at t > 4. "
+    "changes an essential parameter by more than one half-width; a delay is impossibly "
+    "negative; or a given `torque_lag_s` differs from the data at t > 4. "
     "`inconclusive`: it is not estimated, for lack of a reference",
     cases={
         "contradicted": Case(

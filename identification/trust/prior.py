@@ -96,8 +96,8 @@ PRIOR = Words(
     "gains are known: the factor between them, with rotor and friction fitted too",
     limit="`caution`: the whole interval of a factor is below 0.5 or above 2; correcting a mistake "
     "(swapped columns, units, a sign, a zero, gravity) lets these links explain the torque far "
-    "better; or all factors are near 0. `inconclusive`: all intervals are outside 0.5 to 2, but "
-    "not near 0. Never `do not use`",
+    "better; or all factors are near 0. `inconclusive`, not `caution`: all intervals are outside, "
+    "by different factors. Never `do not use`",
     cases={
         "cause": Case(
             "caution",

@@ -66,7 +66,7 @@ def test_the_verdict_comes_first_with_one_error():
         (
             "Assumed",
             "drive gains, efforts, gear ratios, link lengths, sample rate, joint zeros, rotor "
-            "inertias (assumptions that no test covers)",
+            "inertias (no test confirms them)",
         ),
     )
     assert "221 of 284 rows are in motion. Torque errors have a low-pass of 11.8 Hz." in (
