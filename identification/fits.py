@@ -83,7 +83,7 @@ class Fit:
 
     @property
     def assumed(self) -> tuple[report.Assumed, ...]:
-        """Assumptions that no test covers, each with `what`, `value` and `why`."""
+        """Assumptions that no test confirms, each with `what`, `value` and `why`."""
         return tuple(self.file.assumed or ())
 
     @property

@@ -154,6 +154,8 @@ def table(findings: list[Finding]) -> list[str]:
             f"{'ok' if ok else 'FAILED':6}  {name:{names}}  {of:{of_nodes}}  {found}",
             shutil.get_terminal_size((10_000, 0)).columns,
             subsequent_indent=" " * (12 + names + of_nodes),
+            break_long_words=False,
+            break_on_hyphens=False,
         )
         for name, found, ok, of in rows
     ]

@@ -390,9 +390,9 @@ def inside_borders(
     if len(used) < MIN_ROWS * decimation:
         raise NoFitError(
             place=signals.recording,
-            key=f"samples left after cutting the borders ({span})",
-            value=len(used),
-            expected=f"at least {MIN_ROWS * decimation}, for {MIN_ROWS} decimated rows",
+            text=f"{len(used)} samples are left after cutting the borders ({span}), but a fit "
+            f"needs {MIN_ROWS * decimation}, for {MIN_ROWS} decimated rows",
+            advice="Record longer motion",
         )
     return used
 

@@ -126,7 +126,7 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Assumed(msgspec.Struct, frozen=True):
-    """An assumption: its value, and why no test covers it."""
+    """An assumption: its value, and why no test confirms it."""
 
     what: str
     value: str

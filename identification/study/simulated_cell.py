@@ -69,14 +69,6 @@ class Noise(CellOptions):
 
     The controller sees the position with encoder steps and noise. The recorded torque is the mean
     of the control periods before and after its instant, as after the filter of a drive.
-
-    Attributes:
-        encoder_step: step of the encoder, rad or m.
-        position: noise of the encoder, rad or m rms.
-        effort_percent: white noise of the recorded torque, percent of each joint's rms torque.
-        coloured_percent: coloured noise, AR(0.98), of the recorded torque, percent of each joint's
-            rms torque.
-        lag_samples: delay of the recorded torque, samples.
     """
 
     @property

@@ -298,7 +298,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Assumption:
-    """The row of an assumption: its value, why no test covers it, and parts of these texts."""
+    """The row of an assumption: its value, why no test confirms it, and parts of these texts."""
 
     value: str
     why: str

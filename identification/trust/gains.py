@@ -191,7 +191,7 @@ CENTRE_OF_MASS = Words(
 
 
 def payload_assumptions(evidence: TrustInputs) -> Iterator[Assumed]:
-    """Return mass and frame of the payloads as assumptions, since no test covers them."""
+    """Return mass and frame of the payloads as assumptions, since no test confirms them."""
     found = dict.fromkeys(arm.payload for arm in evidence.arms)
     for one in filter(None, found):
         weighed, always = one.payload.mass_kg is not None, None not in found

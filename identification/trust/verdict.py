@@ -19,7 +19,7 @@ MAX_WITNESS_RATIO = 0.95  # of the torque errors with a sign turned and as it is
 
 @dataclass(frozen=True, kw_only=True)
 class Trust:
-    """All tests of a fit, worst first, and the assumptions that no test covers.
+    """All tests of a fit, worst first, and the assumptions that no test confirms.
 
     A skipped test does not count.
     """
@@ -39,7 +39,7 @@ class Trust:
 
 
 def list_assumptions(evidence: TrustInputs, lines: Mapping[str, TrustResult]) -> Iterator[Assumed]:
-    """List the assumptions that no test covers, by the results of tests."""
+    """List the assumptions that no test confirms, by the results of tests."""
     signals, robot, several = evidence.problem.signals, evidence.robot, evidence.robot.n > 1
     fs, iv = signals.sample_rate_hz, evidence.method == "iv"
     law, lag = lines["control law"], lines.get("delay")

@@ -19,7 +19,7 @@ from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
 from acquisition.simulated import SimulatedNode
 
 
-def test_equal_drives_share_row_and_silent_is_named():
+def test_equal_drives_share_row_and_silent_is_named(monkeypatch):
     run, _ = connected(robot_of(bus_text(3)))
     run.drives.nodes[1].values[0x6007, 0] = 0
     lines = table(check_drives(run, run.drives.bus))
@@ -33,8 +33,10 @@ def test_equal_drives_share_row_and_silent_is_named():
     assert refusal(findings) == "the check failed: state of node 2"
     run.drives.silent |= {0, 1, 2}
     findings = check_drives(run, run.drives.bus)
+    monkeypatch.setenv("COLUMNS", "60")
     (row,) = [line for line in table(findings) if "state" in line]
     assert "1, 2, 3" in row
+    assert {len(line) - len(line.lstrip()) for line in row.split("\n")[1:]} == {row.index("the")}
     assert refusal(findings).startswith("the check failed: no drive answers. Without hardware,")
 
 

@@ -111,7 +111,7 @@ def test_low_cutoff_warns_and_options_override():
     assert "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz" in told
     with pytest.raises(BadInputError, match="cut-off = 300 Hz: expected less than 250 Hz"):
         make_settings(signals, Overrides(cutoff_hz=300.0))
-    with pytest.raises(NoFitError, match="expected at least 60000, for 30 decimated rows"):
+    with pytest.raises(NoFitError, match="needs 60000, for 30 decimated rows"):
         make_settings(signals, Overrides(decimation=2000))
 
 

@@ -34,6 +34,9 @@ WIDE = Document(
             short=Section(hint="all 3 lines"),
         ),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
+        Section(  # its heads are folded at hyphens, too
+            table=Table(columns=columns(numbers=("95 % half-width",) * 9), rows=(("1.234",) * 9,))
+        ),
     ),
 )
 
