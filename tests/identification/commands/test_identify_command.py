@@ -138,7 +138,7 @@ def test_gaps_short_recordings_standstill_named(capsys, tmp_path):
             far,
             "samples: the time step after 1.4990 s is 2000 s, but the period is 1.000 ms. Split",
         ),
-        (samples[3000:3300], "expected at least 1200, for 30 decimated rows"),
+        (samples[3000:3300], "needs 1200, for 30 decimated rows"),
         (samples[:1], "samples = 1: expected at least 2"),
         (still, "no joint moves"),
         (half, "parameters = Fv2, Fc2: they have no effect on the torque"),
