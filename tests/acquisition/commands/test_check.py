@@ -35,8 +35,10 @@ def test_equal_drives_share_row_and_silent_is_named(monkeypatch):
     findings = check_drives(run, run.drives.bus)
     monkeypatch.setenv("COLUMNS", "60")
     (row,) = [line for line in table(findings) if "state" in line]
-    assert "1, 2, 3" in row
-    assert {len(line) - len(line.lstrip()) for line in row.split("\n")[1:]} == {row.index("the")}
+    assert ("1, 2, 3" in row, {len(line) - len(line.lstrip()) for line in row.split("\n")[1:]}) == (
+        True,
+        {row.index("the")},
+    )
     assert refusal(findings).startswith("the check failed: no drive answers. Without hardware,")
 
 
