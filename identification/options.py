@@ -126,6 +126,58 @@ class Overrides:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogOptions:
+    """What a log of another program does not contain; None for what it contains.
+
+    Attributes:
+        effort_unit: unit of the efforts; `N m` or `N` at the joints, or at motors with a `ratio`.
+        drive_gain: motor torque or force per unit of effort; without a `ratio` at the joint.
+        ratio: motor rad (or m) per joint rad (or m), sign included.
+        position_unit: unit of the positions.
+        columns: names or numbers of the columns of a table, and its rate.
+        topic: topic of a ROS 2 bag.
+    """
+
+    effort_unit: Annotated[
+        tuple[str, ...] | None,
+        option(
+            "unit of the efforts: 'N m' or N at the joints (with --ratio at the motors), or A, mA, "
+            "V, %%, ... of the motors",
+            "UNIT",
+            list_of_names,
+        ),
+    ] = None
+    drive_gain: Annotated[
+        tuple[float, ...] | None,
+        option(
+            "torque in N m (or force in N) per unit of effort: of the motor, or without --ratio at "
+            "the joint",
+            "K",
+            list_of_values,
+        ),
+    ] = None
+    ratio: Annotated[
+        tuple[float, ...] | None,
+        option("motor rad (or m) per joint rad (or m), sign included", "R", list_of_ratios),
+    ] = None
+    position_unit: Annotated[
+        tuple[str, ...] | None,
+        option("unit of the positions: rad, deg, m or mm", "UNIT", list_of_names),
+    ] = None
+    columns: Annotated[
+        str | None,
+        option(
+            "columns of a table by name or number, and rate=HZ if it has no times",
+            "position=2-7,effort=8-13",
+            str,
+        ),
+    ] = None
+    topic: Annotated[
+        str | None, option("topic of a ROS 2 bag (default: the only one)", "NAME", str)
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class CellOptions:
     """Noise of a simulated recording; none by default.
 

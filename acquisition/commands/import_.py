@@ -163,29 +163,9 @@ def _imported(options: argparse.Namespace, bag: bool) -> "ImportSummary | None":
 
 
 def _print(found: "ImportSummary", warnings: TextIO) -> None:
-    from ..recording import OPTIONAL, overview, read_recording
+    from ..importing import summary_lines
 
-    recording = read_recording(found.out)
-    about = overview(recording)
-    fields = () if recording.samples is None else recording.samples.dtype.names or ()
-    parts = [
-        f"{found.out}: {about['robot']}",
-        f"{about['samples']} samples at {about['sample_rate_hz']:g} Hz",
-        *(
-            [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"]
-            if found.effort_units
-            else []
-        ),
-        *(f"with {name.replace('_', ' ')}" for name in ("reference", *OPTIONAL) if name in fields),
-    ]
-    more = {
-        "topic": found.topic,
-        "times": found.times,
-        "rows": about["rows"],
-        "reference": recording.metadata.get("reference", ""),
-    }
-    lines = [", ".join(parts), *(f"{name}: {text}" for name, text in more.items() if text)]
-    print(*map(one_line, lines), sep="\n")
+    print(*summary_lines(found), sep="\n")
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 

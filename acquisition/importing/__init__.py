@@ -6,10 +6,12 @@ recording again, and exports recordings as tables. It may use `session`, `bus`, 
 """
 
 from .bags import BagOptions, import_bag, is_bag
-from .conversions import import_log, import_recording, is_log
+from .completed_map import QUANTITIES, complete_map, split_columns
+from .conversions import import_log, import_recording, is_log, summary_lines
 from .ethercat import cycle_numbers
 from .held import grid_of_new_rows
-from .proposed_map import TORQUE_SENSORS, propose_map
+from .proposed_map import RAD_OR_DEG, TORQUE_SENSORS, propose_map
+from .quantities import EFFORT_UNITS
 from .stamps import rows_in_time, stamps_warning, ticks_from_velocity
 from .tables import TableMap, export_csv, import_tables, lines_to_fill_in
 from .time_base import ImportSummary, interpolate, rate_warnings, resample, time_report

@@ -57,6 +57,10 @@ UNITS = {
     "promille": "per mille",
     "o/oo": "per mille",
 }
+# Two words of one name without a sign between them, as `qref` and `posAct`.
+GLUED = re.compile(
+    r"(?<![^\W\d_])(d?q|pos|vel|tau)(ref|des|cmd|set|act|meas|msr|fb)(?![^\W\d_])", re.IGNORECASE
+)
 TOKEN = re.compile(r"[^\W\d_]+|\d+")
 # A unit is in brackets, or a word or a sign of its own.
 UNIT = re.compile(

@@ -16,11 +16,12 @@ import numpy as np
 
 from ..arrays import Ints
 from ..bus import SUFFIXES, read_log
-from ..errors import Location, listed
+from ..errors import Location, listed, one_line
 from ..files import GrowingBytes, atomic_write, by_rows, field_of, kept, taken
 from ..recording import (
     FRAME,
     NO_SAMPLES,
+    OPTIONAL,
     SENT,
     Block,
     Decoded,
@@ -30,6 +31,7 @@ from ..recording import (
     Rows,
     Traffic,
     decode,
+    overview,
     read_recording,
     resolve_mapped,
     rewritten,
@@ -47,6 +49,31 @@ _MAX_WRAP_NS = 10**9  # largest time between the frames before and after a wrap
 # A clock that steps back by more, or by a larger share of the time so far, begins another session.
 _MAX_SET_NS, _MAX_SET_SHARE = 60 * 10**9, 0.8
 _MAX_ECHO = 0.25  # largest time between the two records of one frame, in periods
+
+
+def summary_lines(found: ImportSummary) -> list[str]:
+    """Return lines on an import: robot, samples and rate, efforts, and what was chosen."""
+    recording = read_recording(found.out)
+    about = overview(recording)
+    fields = () if recording.samples is None else recording.samples.dtype.names or ()
+    parts = [
+        f"{found.out}: {about['robot']}",
+        f"{about['samples']} samples at {about['sample_rate_hz']:g} Hz",
+        *(
+            [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"]
+            if found.effort_units
+            else []
+        ),
+        *(f"with {name.replace('_', ' ')}" for name in ("reference", *OPTIONAL) if name in fields),
+    ]
+    more = {
+        "topic": found.topic,
+        "times": found.times,
+        "rows": about["rows"],
+        "reference": recording.metadata.get("reference", ""),
+    }
+    lines = [", ".join(parts), *(f"{name}: {text}" for name, text in more.items() if text)]
+    return [one_line(line) for line in lines]
 
 
 def import_recording(

@@ -6,7 +6,7 @@
 import json
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,13 +16,14 @@ from ..arrays import Array
 from ..errors import Location, listed
 from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
-from .column_words import AT_JOINT, EFFORTS, FRANKA, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
+from .column_words import AT_JOINT, EFFORTS, FRANKA, GLUED, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
 from .quantities import TIME_UNITS, TURN, turn_jumps
 from .stamps import bursts
 from .time_base import roundest, roundest_rate_hz
 
 _UNWRAP = "\nunwrap = true # angles jump by a turn"
 TORQUE_SENSORS = "joint torque sensors"
+RAD_OR_DEG = "rad or deg?"
 ROWS = 1000  # rows that the proposal reads
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # usual rates of tables
 # Larger positions are those of a motor, or counts.
@@ -52,7 +53,9 @@ class _Column(TableColumn):
 Groups = dict[tuple[str, str], list[_Column] | str]
 
 
-def propose_map(table: Path, robot: Robot | None) -> str:
+def propose_map(
+    table: Path, robot: Robot | None, given: Mapping[str, Sequence[str]] | None = None
+) -> str:
     """Propose the text of a map.toml for a CSV or MAT table, with the reason of each line.
 
     Columns are identified by words of several languages and tools, with the joint's number or its
@@ -63,14 +66,19 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     ----------
     table : the file.
     robot : the robot, if known.
+    given : names of columns, or numbers from 1, by `time` or quantity; other columns then have no
+        quantity.
 
     Raises
     ------
-    BadInputError : this is not a table, or each of its rows belongs to one joint.
+    BadInputError : this is not a table, each of its rows belongs to one joint, or it does not have
+        the columns `given`.
     """
-    scanned = scan_table(table, ROWS)
+    scanned, place = scan_table(table, ROWS), Location(str(table))
     maker = next((m for m, x in MAKERS.items() if any(re.search(x, c.name) for c in scanned)), "")
-    columns = _columns(scanned, maker, robot, Location(str(table)))
+    columns = _columns(scanned, maker, robot, place)
+    if given:
+        columns = _as_given(columns, scanned, given, place)
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
@@ -91,10 +99,8 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     reference, why = _only(groups, ["position"], size, "reference")
     q, turn = _values(position, turn), _turn(table, reference)
     if reference and position and not _moves_as(_values(reference, turn), q):
-        reference, why = (
-            [],
-            f"is it a reference? It does not follow the position: {_keys(reference)}",
-        )
+        why = f"is it a reference? It does not follow the position: {_keys(reference)}"
+        reference, why = [], why if "position" in reference[0].words else ""
     if reference or why:
         lines += [
             "[reference]",
@@ -151,6 +157,7 @@ def _columns(
         stated = UNIT.search(text)
         text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", UNIT.sub(" ", text))
         text = re.sub("|".join(word for word in KIND if not word.isascii()), r" \g<0> ", text)
+        text = GLUED.sub(r"\1 \2", text)
         tokens = [token.lower() for token in TOKEN.findall(text)]
         words = {KIND[token]: token for token in tokens if token in KIND}
         label = tuple(token for token in tokens if token not in KIND)
@@ -177,6 +184,43 @@ def _columns(
     return [replace(c, joint=told.get(c.label, "")) for c in found]
 
 
+def _as_given(
+    columns: Sequence[_Column],
+    scanned: Sequence[TableColumn],
+    given: Mapping[str, Sequence[str]],
+    place: Location,
+) -> list[_Column]:
+    """Return the columns with the quantities `given`; of others only times keep theirs."""
+    by_key, found = {c.key: c for c in columns}, dict[str | int, _Column]()
+    for quantity, names in given.items():
+        k = 0
+        for name in names:
+            keys = (
+                [c.key for c in scanned[int(name) - 1 :][:1]]
+                if name.isdigit() and int(name)
+                else [c.key for c in scanned if re.match(rf"{re.escape(name)}(\(|$)", str(c.key))]
+            )
+            place.require(
+                keys and {*keys} <= {*by_key},
+                f"column {name}",
+                text="no column of numbers has this name or number",
+                expected=f"one of {listed([str(c.key) for c in columns])}, or 1 to {len(scanned)}",
+            )
+            for key in keys:
+                k += 1
+                kinds = ("reference", "position") if quantity == "reference" else (quantity,)
+                words = dict.fromkeys(kinds, "given")
+                found[key] = replace(by_key[key], words=words, label=(str(k),), joint="")
+    return [
+        *found.values(),
+        *(
+            replace(c, words={kind: word for kind, word in c.words.items() if kind == "time"})
+            for c in columns
+            if c.key not in found and "time" not in given
+        ),
+    ]
+
+
 def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
     """Group columns, one per joint, by quantity and source (and motor side).
 
@@ -195,11 +239,16 @@ def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
         if len(all_labels) > 1
         else set()
     )
-    return {
+    found = {
         key: found
         for key, group in members.items()
         if (found := _one_per_joint(group, common, robot))
     }
+    # Columns such as `ref1` are references of positions if they have no rival.
+    bare = [c for c in columns if "reference" in c.words and {*c.words} <= {"reference", "joint"}]
+    if bare and isinstance(named := _one_per_joint(bare, common, robot), list):
+        found.setdefault(("position", "reference"), named)
+    return found
 
 
 def _one_per_joint(
@@ -285,7 +334,8 @@ def _listed(columns: Sequence[_Column], why: str) -> str:
     if not columns:
         return f'columns = ["{FILL_IN}"] # {why or "no column has a matching name"}'
     words = dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind)
-    return f"columns = {_keys(columns)} # from the names: {', '.join(words)}"
+    why = "as given" if "given" in words else f"from the names: {', '.join(words)}"
+    return f"columns = {_keys(columns)} # {why}"
 
 
 def _first(*rules: tuple[object, str]) -> str:
@@ -325,7 +375,7 @@ def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str, 
                 2 * np.pi < largest <= MAX_TURN_DEG,
                 f'unit = "deg" # values up to {largest:.4g} exceed 2 pi',
             ),
-            (True, f'unit = "{FILL_IN}" # rad or deg? Values are up to {largest:.4g}'),
+            (True, f'unit = "{FILL_IN}" # {RAD_OR_DEG} Values are up to {largest:.4g}'),
         ),
     )
 

@@ -31,9 +31,11 @@ def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._Argument
     return inputs
 
 
-def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
+def add_recordings(
+    inputs: "argparse._ArgumentGroup", text: str = "one or more recordings of one robot"
+) -> None:
     """Declare the recordings, and an optional description instead of their own."""
-    add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
+    add_path(inputs, "recordings", "LOG.mcap", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recorded one")
     inputs.add_argument(
         "--payload",

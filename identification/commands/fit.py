@@ -1,14 +1,16 @@
 """`robot-identify fit`: base parameters from one or more recordings of one robot."""
 
 import argparse
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..options import Overrides
+from ..options import LogOptions, Overrides
 from . import arguments as shared
 
 if TYPE_CHECKING:
@@ -17,7 +19,14 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    shared.add_recordings(parser.add_argument_group("inputs"))
+    shared.add_recordings(
+        parser.add_argument_group("inputs"),
+        "one or more recordings of one robot; or a log (CSV, MAT, ROS 2 bag, CAN log) and its "
+        "ROBOT.urdf or robot.toml, from which LOG.mcap is made",
+    )
+    log = parser.add_argument_group("what a log does not contain; a terminal asks for it")
+    add_options(log, LogOptions)
+    add_flag(log, "--overwrite", "make the recording of the log, its description and map anew")
     settings = parser.add_argument_group("settings of the fit")
     add_options(settings, Overrides, "cutoff_hz", "torque_lag_s")
     shared.add_method(settings)
@@ -65,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.prior is not None and not options.consistent:
         shared.COMMAND_LINE.refuse("--prior", str(options.prior), text="requires --consistent")
+    if options.recordings[-1].suffix.lower() in (".urdf", ".xml", ".xacro", ".toml"):
+        options.recordings = [_recording_of_log(options)]
     pictures = _pictures(options)
     with Progress("reading") as progress:
         from .. import results
@@ -95,6 +106,39 @@ def run(options: argparse.Namespace) -> int:
             if line.level == worst and worst in refused
         ]
     )
+
+
+def _recording_of_log(options: argparse.Namespace) -> Path:
+    """Make the recording of a log, and ask on a terminal for what it does not contain."""
+    from ..export import import_foreign_log
+
+    log, *others = options.recordings
+    shared.COMMAND_LINE.require(
+        len(others) == 1, "LOG", len(options.recordings), "one log, then its robot"
+    )
+    terminal = sys.stdin.isatty() and sys.stdout.isatty()
+    return import_foreign_log(
+        log,
+        others[0],
+        from_options(LogOptions, options),
+        _ask if terminal else None,
+        lambda line: shared.print_results(line),
+        overwrite=options.overwrite,
+    )
+
+
+def _ask(name: str, text: str) -> Any:
+    """Ask for the value of an option until it can be read; None for an empty line."""
+    how = get_args(get_type_hints(LogOptions, include_extras=True)[name])[1]
+    columns = [line[1:] for line in text.splitlines() if line.startswith("#   ")]
+    shared.print_results(*columns * (name == "columns"), "", how["help"].replace("%%", "%"))
+    with suppress(EOFError):
+        while answer := input(f"{name.replace('_', ' ')} [{how['metavar']}, Enter: unknown]: "):
+            try:
+                return how["type"](answer)
+            except argparse.ArgumentTypeError as error:
+                shared.print_results(str(error))
+    return None
 
 
 def _pictures(options: argparse.Namespace) -> list[Path]:

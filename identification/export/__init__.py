@@ -2,7 +2,7 @@
 
 It owns the formats of simulators with a report of what each cannot represent, and the text of a
 robot.toml that is made or changed. It may use stored fits, the model, and the control law for
-actuators. It reads no recordings.
+actuators. It reads no recordings, but makes one from a log of another program with its robot.
 """
 
 from .chain import Chain, read_chain
@@ -24,4 +24,5 @@ from .exporting import (
     replace_parameters,
     write_models,
 )
+from .foreign_log import Ask, import_foreign_log
 from .formats import make_urdf, quaternion, roll_pitch_yaw
