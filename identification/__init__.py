@@ -69,6 +69,7 @@ __all__ = [
     "Work",
     "design_reference",
     "fit",
+    "fit_log",
     "identify_iv",
     "identify_ls",
     "load_signals",

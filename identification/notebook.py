@@ -31,6 +31,7 @@ from .design import Excitation, ExcitationSettings, select_friction
 from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
 from .fits import File, Fit
 from .methods import Iteration
+from .options import LogOptions
 from .regression import Overrides
 from .report import ValidationFile
 from .study import Noise, Run, Study
@@ -236,6 +237,76 @@ def fit(
     return _of_user(
         results.identify(Recordings(sources=sources), overrides, method=method, essential=essential)
     )
+
+
+def fit_log(
+    path: File,
+    robot: File,
+    *,
+    effort_unit: str | Sequence[str] | None = None,
+    drive_gain: float | Sequence[float] | None = None,
+    ratio: float | Sequence[float] | None = None,
+    position_unit: str | Sequence[str] | None = None,
+    columns: str | None = None,
+    topic: str | None = None,
+    method: Literal["iv", "wls", "ols"] | None = None,
+    overwrite: bool = False,
+) -> Fit:
+    """Identify the base parameters of a robot from the log of another program.
+
+    Recording, description and map are written beside the log: `LOG.mcap`, `LOG.robot.toml` for a
+    URDF, and `LOG.map.toml` for a table, with the reason of each of its lines. What the log does
+    not show is never guessed.
+
+    Parameters
+    ----------
+    path : CSV or MAT table, ROS 2 bag, CAN log or EtherCAT capture.
+    robot : URDF, or robot.toml, which a CAN log needs.
+    effort_unit : unit of the efforts: `N m` or `N` at the joints, or at motors with a `ratio`; `A`,
+        `mA`, `V`, `%`, ... of the motors. One for all joints, or one per joint.
+    drive_gain : torque, N m, or force, N, per unit of effort: of the motor, or without `ratio` at
+        the joint.
+    ratio : motor rad (or m) per joint rad (or m), sign included.
+    position_unit : unit of the positions: `rad`, `deg`, `m` or `mm`.
+    columns : columns of a table, as `position=2-7,effort=8-13`; `rate=250` for a table without
+        times.
+    topic : topic of a ROS 2 bag. Default: the only one.
+    method : as for `fit`.
+    overwrite : True to make recording, description and map anew.
+
+    Returns
+    -------
+    The fit. The verdict `do not use` also gives a `DoNotUseWarning`.
+
+    Raises
+    ------
+    BadInputError : the log does not show something that is not given, a file cannot be read, or one
+        to be written exists.
+    NoFitError : the robot moves too little.
+    """
+
+    def several(values: Any) -> tuple[Any, ...] | None:
+        alone = isinstance(values, str | float | int)
+        return values if values is None else (values,) if alone else tuple(values)
+
+    given = LogOptions(
+        effort_unit=several(effort_unit),
+        drive_gain=several(drive_gain),
+        ratio=several(ratio),
+        position_unit=several(position_unit),
+        columns=columns,
+        topic=topic,
+        overwrite=overwrite,
+    )
+    recording = export.import_foreign_log(Path(path), Path(robot), given, say=_warn)
+    sources = (RecordingFile.at(recording),)
+    return _of_user(results.identify(Recordings(sources=sources), Overrides(), method=method))
+
+
+def _warn(line: str) -> None:
+    """Pass warnings of an import on; its other lines are in the files."""
+    if line.startswith("warning: "):
+        warnings.warn(line.removeprefix("warning: "), stacklevel=4)
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:

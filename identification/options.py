@@ -136,6 +136,7 @@ class LogOptions:
         position_unit: unit of the positions.
         columns: names or numbers of the columns of a table, and its rate.
         topic: topic of a ROS 2 bag.
+        overwrite: whether recording, description and map of the log may be replaced.
     """
 
     effort_unit: Annotated[
@@ -162,7 +163,11 @@ class LogOptions:
     ] = None
     position_unit: Annotated[
         tuple[str, ...] | None,
-        option("unit of the positions: rad, deg, m or mm", "UNIT", list_of_names),
+        option(
+            "unit of the positions, rad, deg, m or mm; of the joints unless names say motor",
+            "UNIT",
+            list_of_names,
+        ),
     ] = None
     columns: Annotated[
         str | None,
@@ -175,6 +180,9 @@ class LogOptions:
     topic: Annotated[
         str | None, option("topic of a ROS 2 bag (default: the only one)", "NAME", str)
     ] = None
+    overwrite: Annotated[
+        bool, option("make the recording of the log, its description and map anew")
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)

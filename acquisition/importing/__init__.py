@@ -6,7 +6,7 @@ recording again, and exports recordings as tables. It may use `session`, `bus`, 
 """
 
 from .bags import BagOptions, import_bag, is_bag
-from .completed_map import QUANTITIES, complete_map, split_columns
+from .completed_map import complete_map, effort_unit, split_columns
 from .conversions import import_log, import_recording, is_log, summary_lines
 from .ethercat import cycle_numbers
 from .held import grid_of_new_rows

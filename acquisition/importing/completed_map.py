@@ -4,10 +4,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from ..errors import COMMAND_LINE
-from ..robot import FILL_IN, Robot
+from ..robot import FILL_IN
+from .column_words import UNITS
+from .quantities import EFFORT_UNITS
 
 QUANTITIES = ("time", "position", "velocity", "reference", "effort")
 # By key of the map, the answer that completes it, and what follows its unit.
@@ -17,8 +17,11 @@ _ANSWERS = {
     "position.columns": ("columns", ""),
     "effort.columns": ("columns", ""),
     "position.unit": ("position_unit", ""),
+    "position.side": ("position_unit", ""),
     "reference.unit": ("position_unit", ""),
+    "reference.side": ("position_unit", ""),
     "velocity.unit": ("position_unit", "/s"),
+    "velocity.side": ("position_unit", ""),
     "effort.unit": ("effort_unit", ""),
 }
 
@@ -54,20 +57,33 @@ def split_columns(text: str) -> tuple[dict[str, list[str]], float | None]:
     return columns, float(rate[0]) if rate and "rate" in parts else None
 
 
+def effort_unit(name: str) -> str:
+    """Return the unit of efforts with this name, as `Nm`; refuse others."""
+    unit = UNITS.get(name.lower(), name)
+    COMMAND_LINE.require(
+        unit in EFFORT_UNITS, "effort_unit", name, f"one of {', '.join(EFFORT_UNITS)}"
+    )
+    return unit
+
+
 def complete_map(
-    text: str, answers: Mapping[str, tuple[Sequence[str], str]], rate_hz: float | None, robot: Robot
+    text: str,
+    answers: Mapping[str, tuple[Sequence[str], str]],
+    rate_hz: float | None,
+    *,
+    geared: bool,
 ) -> tuple[str, list[str]]:
     """Complete a map that `propose_map` made.
 
-    Positions are those of the joints, and efforts those of motors with ratios, unless the names or
-    the units say otherwise. A reference that is not clear is left out.
+    Positions are those of the joints unless names say otherwise. Torques and forces are those of
+    the joints unless they are `geared`. A reference that is not clear is left out.
 
     Parameters
     ----------
     text : the proposed map.
     answers : units by `position_unit` and `effort_unit`, one or one per column, with the reason.
     rate_hz : sample rate, Hz, in place of `[time]`; None if the table has times.
-    robot : the robot.
+    geared : whether torques and forces are those of motors with ratios.
 
     Returns
     -------
@@ -86,9 +102,7 @@ def complete_map(
         text = re.sub(r"(?m)^(\[time\]\n(?:[^\[\n].*\n)*|sample_rate_hz.*\n)", "", text)
         first, rest = text.split("\n", 1)
         text = f"{first}\nsample_rate_hz = {rate_hz:.12g} # as given\n{rest}"
-    side = "joint" if np.array_equal(robot.R, np.eye(robot.n)) else "motor"
-    sides = {"position.side": "joint", "reference.side": "joint", "velocity.side": "joint"}
-    missing, lines, table = dict[str, None](), [], ""
+    missing, lines, table, effort = dict[str, None](), [], "", ""
     for line in text.splitlines():
         table = line.strip("[]") if line.startswith("[") else table
         key = f"{table}.{line.partition(' ')[0]}".lstrip(".")
@@ -96,24 +110,20 @@ def complete_map(
         units, why = answers.get(name, ((), ""))
         values = [f"{unit}{per}" for unit in units]
         value = json.dumps(values[0] if len(values) == 1 else values, ensure_ascii=False)
-        is_open = FILL_IN in line and not line.startswith("#")
-        if (
-            key.endswith(".unit")
-            and values
-            and not is_open
-            and key in ("position.unit", "effort.unit")
-        ):
+        if FILL_IN not in line or line.startswith("#"):
             COMMAND_LINE.require(
-                value in line,
+                value in line or not units or key not in ("position.unit", "effort.unit"),
                 name,
-                text=f"the table shows {line}",
-                advice="Omit it, or edit the map",
+                text=f"the table shows {line.removeprefix('unit = ')}",
+                advice="Omit the option",
             )
-        elif is_open and key.endswith(".side"):
-            line = f'side = "{sides.get(key, side)}" # assumed'
-        elif is_open and values:
-            line = f"unit = {value} # {why}"
-        elif is_open:
+        elif key == "effort.side":
+            side = "motor" if geared or not re.search('"m?N', effort) else "joint"
+            line = f'side = "{side}" # by the unit and the ratios'
+        elif units:
+            line = f'side = "joint" # {why}' if key.endswith(".side") else f"unit = {value} # {why}"
+        else:
             missing[name] = None
+        effort = line if key == "effort.unit" else effort
         lines.append(line)
     return "\n".join([*lines, ""]), [*missing]

@@ -116,7 +116,8 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
         place.require(
             ending not in _IMPORTED,
             text=f"this is a {ending[1:].upper()} file, not a recording",
-            advice=f"Import it first: `robot-acquire import {path} --robot ROBOT.toml`",
+            advice=f"Import it first: `robot-acquire import {path} --robot ROBOT.toml`, or by "
+            f"`robot-identify fit {path} ROBOT.urdf`",
         )
         place.refuse(
             text=f"this is {NAMES[kind]}, not a recording" if kind else "this is not an MCAP file",

@@ -26,7 +26,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     log = parser.add_argument_group("what a log does not contain; a terminal asks for it")
     add_options(log, LogOptions)
-    add_flag(log, "--overwrite", "make the recording of the log, its description and map anew")
     settings = parser.add_argument_group("settings of the fit")
     add_options(settings, Overrides, "cutoff_hz", "torque_lag_s")
     shared.add_method(settings)
@@ -122,8 +121,7 @@ def _recording_of_log(options: argparse.Namespace) -> Path:
         others[0],
         from_options(LogOptions, options),
         _ask if terminal else None,
-        lambda line: shared.print_results(line),
-        overwrite=options.overwrite,
+        shared.print_results,
     )
 
 
@@ -133,7 +131,12 @@ def _ask(name: str, text: str) -> Any:
     columns = [line[1:] for line in text.splitlines() if line.startswith("#   ")]
     shared.print_results(*columns * (name == "columns"), "", how["help"].replace("%%", "%"))
     with suppress(EOFError):
-        while answer := input(f"{name.replace('_', ' ')} [{how['metavar']}, Enter: unknown]: "):
+        while True:
+            print(
+                f"{name.replace('_', ' ')} [{how['metavar']}, Enter: unknown]", end=": ", flush=True
+            )
+            if not (answer := input()):
+                break
             try:
                 return how["type"](answer)
             except argparse.ArgumentTypeError as error:

@@ -21,7 +21,7 @@ _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has 
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2
 # Of the example's drives: counts per turn or m; rated over maximum effort.
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5
-_OF_GAINS = "A", "V", "%"  # efforts that a drive gain converts to N m or N
+OF_GAINS = "A", "V", "%"  # efforts that a drive gain converts to N m or N
 # Of the example's SYNC: seven drives fill a bus at 2 ms, and the period has steps of 0.5 ms.
 _SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.275, 2.0
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
@@ -100,7 +100,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     )
     drives = [f"# {FILL_IN}{TO_MOVE}: the drives. Replace every number by those of the real ones."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
-    if not bus and any(joint.ratio or joint.effort_unit in _OF_GAINS for joint in chain.joints):
+    if not bus and any(joint.ratio or joint.effort_unit in OF_GAINS for joint in chain.joints):
         drives = [_NO_BUS]  # those of the example record the torque at the joint
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
@@ -229,7 +229,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
     """
     torque = "N" if joint.type == "prismatic" else "N m"
     unit = joint.effort_unit or torque
-    known = None not in (joint.ratio, joint.drive_gain) and unit in _OF_GAINS
+    known = None not in (joint.ratio, joint.drive_gain) and unit in OF_GAINS
     if joint.ratio is not None:
         yield f"ratio = {_number(joint.ratio)}"
     elif joint.effort_unit and not chain.torque_sensors:
@@ -237,7 +237,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
             f"# ratio = ... # {FILL_IN}{TO_FIT_MOTORS}: motor rad (or m) per joint rad (or m), "
             "sign included; leave it out for efforts at the joint"
         )
-    if unit in _OF_GAINS:
+    if unit in OF_GAINS:
         gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
         mark = f" # {FILL_IN} to fit in {torque}: replaces effort_unit, together with ratio"
         lines = (f"drive_gain = {gain}", f'drive_gain_unit = "{torque}/{unit}"')

@@ -3,19 +3,22 @@
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
+
+import numpy as np
 
 from acquisition.errors import COMMAND_LINE, Location, one_line
-from acquisition.files import is_recording, refuse_clash, write_text
+from acquisition.files import is_recording, write_text
 from acquisition.importing import (
     EFFORT_UNITS,
     RAD_OR_DEG,
     TORQUE_SENSORS,
     BagOptions,
     complete_map,
+    effort_unit,
     import_bag,
     import_log,
     import_tables,
@@ -29,12 +32,11 @@ from acquisition.robot import FILL_IN, Robot, load_robot
 
 from ..options import LogOptions
 from .chain import Chain, read_chain
-from .description import describe, robot_of_chain
+from .description import OF_GAINS, describe, robot_of_chain
 
 # Asks for an option, and shows the text before; None if the user does not know.
 Ask = Callable[[str, str], Any]
 MOST_QUESTIONS = 2
-_OF_GAINS = ("A", "V", "%")  # efforts that a drive gain converts to N m or N
 _OPEN = {
     "columns": "the quantities of its columns, or its sample rate",
     "position_unit": "the unit of the positions",
@@ -48,12 +50,8 @@ def import_foreign_log(
     given: LogOptions,
     ask: Ask | None = None,
     say: Callable[[str], None] = lambda line: None,
-    *,
-    overwrite: bool = False,
 ) -> Path:
     """Write the recording of a log, and its description and map, beside the log.
-
-    A description or map that exists there is used.
 
     Parameters
     ----------
@@ -62,7 +60,6 @@ def import_foreign_log(
     given : what the log does not contain.
     ask : function that asks the user for an option, at most twice; None without a user.
     say : function that receives lines on what was read, given or assumed, and warnings.
-    overwrite : True to make recording, description and map anew.
 
     Returns
     -------
@@ -70,128 +67,110 @@ def import_foreign_log(
 
     Raises
     ------
-    BadInputError : a file cannot be read, something is not known and nobody can be asked, the
-        recording exists, or an option differs from a file.
+    BadInputError : a file cannot be read, something is not known and nobody can be asked, a file
+        to be written exists, or an option differs from what the log shows.
     """
-    place = Location(str(log))
+    place, bag, is_urdf = Location(str(log)), is_bag(log), robot.suffix.lower() != ".toml"
     place.require(
-        is_bag(log) or not is_recording(log),
+        bag or not is_recording(log),
         text="a recording contains its description",
         advice=f"Run `robot-identify fit {log}`, with --robot for another robot.toml",
     )
     stem = log.with_suffix("") if log.is_file() else log
+    described = stem.with_name(f"{stem.name}.robot.toml") if is_urdf else robot
+    map_path = stem.with_name(f"{stem.name}.map.toml")
     out = stem.with_name(f"{stem.name}{'_recording' * (log.suffix == '.mcap')}.mcap")
-    Location(str(out)).require(
-        overwrite or not out.exists(),
-        text="the recording of this log already exists",
-        advice=f"Run `robot-identify fit {out}`, or make it anew",
-        arguments=("overwrite",),
-    )
-    described, map_path = (stem.with_name(f"{stem.name}.{x}.toml") for x in ("robot", "map"))
-    is_urdf = robot.suffix.lower() != ".toml"
-    keep_robot, keep_map = (x.exists() and not overwrite for x in (described, map_path))
-    chain = read_chain(robot) if is_urdf and not keep_robot else None
-    refuse_clash(
-        [log, robot], described if chain else None, overwrite=overwrite, of_kinds={"mcap": out}
-    )
-    source = described if is_urdf else robot
-    known = load_robot(source) if chain is None else robot_of_chain(chain)
-    _refuse_known(given, source if chain is None else None, map_path if keep_map else None)
+    for path in (out, map_path, *[described] * is_urdf):
+        Location(str(path)).require(
+            given.overwrite or not path.exists(),
+            text="already exists",
+            advice=f"Run `robot-identify fit {out}`, after `robot-acquire import {log} --robot "
+            f"{described}` for an edited map, or make all files anew",
+            arguments=("overwrite",),
+        )
+    for name in ("ratio", "drive_gain") if not is_urdf else ():
+        COMMAND_LINE.require(
+            getattr(given, name) is None,
+            name,
+            text="applies to a URDF only",
+            advice=f"Set it in {robot}",
+        )
+    chain = read_chain(robot) if is_urdf else None
+    known = robot_of_chain(chain) if chain else load_robot(robot)
+    text = ""
     if is_log(log):
         place.require(
-            not is_urdf,
+            chain is None,
             text="a log of a bus needs its drives",
             advice="Pass a robot.toml with [bus]",
         )
-        found = import_log(log, out, known, str(robot))
     else:
-        text = map_path.read_text(encoding="utf-8") if keep_map else ""
-        if not keep_map:
-            given, text = _complete(log, known, given, ask, chain is not None)
-        if chain is not None:
-            chain = _with_efforts(chain, given, text)
-            write_text(described, describe(chain, os.path.relpath(robot, described.parent)))
-            known = load_robot(described)
-        say(f"{source}: {_robot_line(known)}")
-        if is_bag(log):
-            options = BagOptions(effort_unit=given.effort_unit or (), topic=given.topic or "")
-            found = import_bag(log, known, out, options)
-        else:
-            if not keep_map:
-                write_text(map_path, text)
-            say(f"{map_path}:")
-            for line in _map_lines(text):
-                say(f"  {one_line(line)}")
-            found = import_tables([log], known, map_path, out)
-    for line in summary_lines(found):
-        say(line)
-    for text in found.warnings:
-        say(one_line(f"warning: {text}"))
+        given, text = _complete(log, known, given, ask, bag=bag, of_urdf=is_urdf)
+    if chain is not None:
+        chain = _with_efforts(chain, given, text)
+        write_text(described, describe(chain, os.path.relpath(robot, described.parent)))
+        known = load_robot(described)
+    say(f"{described}: {_robot_line(known)}")
+    if text:
+        write_text(map_path, text)
+        for line in (f"{map_path}:", *_map_lines(text)):
+            say(line)
+        found = import_tables([log], known, map_path, out)
+    elif bag:
+        options = BagOptions(effort_unit=given.effort_unit or (), topic=given.topic or "")
+        found = import_bag(log, known, out, options)
+    else:
+        found = import_log(log, out, known, str(robot))
+    for line in (*summary_lines(found), *(f"warning: {text}" for text in found.warnings)):
+        say(one_line(line))
     return out
 
 
-def _refuse_known(given: LogOptions, described: Path | None, map_path: Path | None) -> None:
-    """Refuse options of which a file that is used has the values."""
-    for path, names in (
-        (described, ("ratio", "drive_gain")),
-        (map_path, ("columns", "position_unit", "effort_unit")),
-    ):
-        for name in names if path else ():
-            COMMAND_LINE.require(
-                getattr(given, name) is None,
-                name,
-                text=f"{path} is used, which gives it",
-                advice="Edit that file, or omit the option",
-            )
-
-
 def _complete(
-    log: Path, robot: Robot, given: LogOptions, ask: Ask | None, of_urdf: bool
+    log: Path, robot: Robot, given: LogOptions, ask: Ask | None, *, bag: bool, of_urdf: bool
 ) -> tuple[LogOptions, str]:
     """Return what the log does not contain, from `given` or asked for, and the map of a table."""
-    questions, text = 0, ""
-    while True:
-        missing = [] if given.effort_unit else ["effort_unit"]
-        if not is_bag(log):
-            columns, rate_hz = split_columns(given.columns) if given.columns else ({}, None)
-            text, units = propose_map(log, robot, columns), {}
-            if ask and RAD_OR_DEG in text:
-                units["position_unit"] = ["rad"], "assumed, because all values are within 2 pi"
-            for name in ("position_unit", "effort_unit"):
-                if values := getattr(given, name):
-                    units[name] = values, "as given"
-            text, missing = complete_map(text, units, rate_hz, robot)
-        if not (missing or given.drive_gain) and {*_OF_GAINS} & {*_effort_units(given, text)}:
-            missing = ["drive_gain"] * of_urdf
-        name = missing[0] if missing else ""
-        asked = ask is not None and questions < MOST_QUESTIONS
-        if not name or (name == "drive_gain" and not asked):
-            return given, text
-        answer = ask(name, text) if ask and asked and getattr(given, name) is None else None
-        if answer is None and name != "drive_gain":
-            _refuse_open(log, text, missing)
-        given, questions = replace(given, **{name: answer}), questions + 1
+    text, assume = "", ask is not None
+    for left in range(MOST_QUESTIONS, -1, -1):
+        if given.effort_unit:
+            given = replace(given, effort_unit=tuple(map(effort_unit, given.effort_unit)))
+        ask, missing = ask if left else None, [] if given.effort_unit else ["effort_unit"]
+        if not bag:
+            text, missing = _map(log, robot, given, assume=assume)
+        if not missing:
+            current = {*_effort_units(given, text)} & {*OF_GAINS}
+            if current and of_urdf and ask and not given.drive_gain:
+                given = replace(given, drive_gain=ask("drive_gain", text))
+            break
+        (name, *_), why = missing, re.findall(rf'(?m)^[^#\n]*"{FILL_IN}".*# (.*)$', text)
+        answer = ask(name, text) if ask and getattr(given, name) is None else None
         if answer is None:
-            return given, text
+            Location(str(log)).refuse(
+                text=f"does not show {' and '.join(_OPEN[x] for x in missing)}"
+                + f" ({'; '.join(dict.fromkeys(why))})" * bool(why),
+                advice="Look them up in the manual, and add",
+                arguments=missing,
+            )
+        given = replace(given, **{name: answer})
+    return given, text
 
 
-def _refuse_open(log: Path, text: str, missing: Sequence[str]) -> NoReturn:
-    why = re.findall(rf'(?m)^[^#\n]*"{FILL_IN}".*# (.*)$', text)
-    Location(str(log)).refuse(
-        text=f"does not show {' and '.join(_OPEN[x] for x in missing)}"
-        + f" ({'; '.join(dict.fromkeys(why))})" * bool(why),
-        advice="Look them up in the manual, and add",
-        arguments=missing,
-    )
+def _map(log: Path, robot: Robot, given: LogOptions, *, assume: bool) -> tuple[str, list[str]]:
+    """Return the map of a table, and the options that it still needs."""
+    columns, rate_hz = split_columns(given.columns) if given.columns else ({}, None)
+    text = propose_map(log, robot, columns)
+    known = {"position_unit": given.position_unit, "effort_unit": given.effort_unit}
+    units = {name: (values, "as given") for name, values in known.items() if values}
+    if assume and RAD_OR_DEG in text:
+        units.setdefault("position_unit", (("rad",), "assumed, because all values are within 2 pi"))
+    geared = given.ratio is not None or not np.array_equal(robot.R, np.eye(robot.n))
+    return complete_map(text, units, rate_hz, geared=geared)
 
 
 def _effort_units(given: LogOptions, text: str) -> list[str]:
     """Return the SI units of the efforts, one or one per joint."""
     units = tomllib.loads(text)["effort"]["unit"] if text else given.effort_unit or ()
-    return [
-        EFFORT_UNITS[x][0] if x in EFFORT_UNITS else x
-        for x in ([units] if isinstance(units, str) else units)
-    ]
+    return [EFFORT_UNITS[x][0] for x in ([units] if isinstance(units, str) else units)]
 
 
 def _with_efforts(chain: Chain, given: LogOptions, text: str) -> Chain:
@@ -201,9 +180,9 @@ def _with_efforts(chain: Chain, given: LogOptions, text: str) -> Chain:
         replace(joint, effort_unit="N" if unit == "N m" and joint.type == "prismatic" else unit)
         for joint, unit in zip(chain.joints, units * len(chain.joints), strict=False)
     )
-    values = {"ratio": given.ratio, "drive_gain": given.drive_gain}
-    if given.drive_gain and not given.ratio:
-        values["ratio"] = (1.0,)  # the gain is then that at the joint
+    # Without a ratio, a gain is that at the joint.
+    ratio = given.ratio or ((1.0,) if given.drive_gain else None)
+    values = {"ratio": ratio, "drive_gain": given.drive_gain}
     return replace(chain, joints=joints, torque_sensors=TORQUE_SENSORS in text).with_values(
         {name: value for name, value in values.items() if value}
     )
@@ -219,11 +198,11 @@ def _robot_line(robot: Robot) -> str:
 
 def _map_lines(text: str) -> Iterator[str]:
     """Return a line for each table of a map: its columns, unit and side, with the reasons."""
-    yield from re.findall(r"(?m)^# (no \[.*)$", text)
+    yield from re.findall(r"(?m)^#( no \[.*)$", text)
     for table, content in re.findall(r"(?m)^\[(\w+)\]\n((?:[^\[\n].*\n)*)", text):
         values, reasons = zip(*re.findall(r"(?m)^\w+ = (.*?)(?: # (.*))?$", content), strict=True)
         ends = [
             names[:: len(names) - 1 or 1] for x in values for names in [x.strip("[]").split(", ")]
         ]
         shown = ", ".join(" to ".join(names).replace('"', "") for names in ends)
-        yield f"{table}: {shown} ({'; '.join(dict.fromkeys(filter(None, reasons)))})"
+        yield f"  {table}: {shown} ({'; '.join(dict.fromkeys(filter(None, reasons)))})"
