@@ -21,11 +21,13 @@ _WORDS = {
     "motor": "m motor motors mot moteur motore encoder enc 电机",
     "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",
     "name": "name names",
+    "given": "given",
     "": "a state states robot data value values controller trajectory nc to plc field header",
 }
 KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 EFFORTS = ("torque", "current", "effort")
+GIVEN = "given"  # word in names of columns that a user has given
 UR, FRANKA = "UR RTDE", "libfranka"
 # Makers by names of columns that only they use.
 MAKERS = {

@@ -3,10 +3,12 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from ..errors import COMMAND_LINE
+from ..errors import COMMAND_LINE, Location
+from ..files import TableColumn
 from ..robot import FILL_IN
-from .column_words import UNITS
+from .column_words import GIVEN, KIND, TOKEN, UNIT, UNITS
 from .quantities import EFFORT_UNITS
 
 QUANTITIES = ("time", "position", "velocity", "reference", "effort")
@@ -55,6 +57,44 @@ def split_columns(text: str) -> tuple[dict[str, list[str]], float | None]:
             for k in (range(int(span[1]), int(span[2]) + 1) if span else [name.strip()])
         ]
     return columns, float(rate[0]) if rate and "rate" in parts else None
+
+
+def named_columns(
+    scanned: Sequence[TableColumn], given: Mapping[str, Sequence[str]], place: Location
+) -> list[TableColumn]:
+    """Return columns with names of the quantities `given`; of others only times keep their names.
+
+    Parameters
+    ----------
+    scanned : all columns of the table.
+    given : names or numbers of the columns by quantity, as `split_columns` returns them.
+    place : the table, for errors.
+
+    Raises
+    ------
+    BadInputError : the table does not have these columns.
+    """
+    names = {
+        c.key: c.name * ("time" in map(KIND.get, TOKEN.findall(c.name.lower()))) for c in scanned
+    }
+    for quantity, wanted in given.items():
+        keys: list[str | int] = []
+        for name in wanted:
+            found = [
+                c.key
+                for k, c in enumerate(scanned, 1)
+                if name in (str(k), str(c.key), str(c.key).partition("(")[0]) and not c.texts
+            ]
+            place.require(
+                found, f"column {name}", text="no column of numbers has this name or number"
+            )
+            keys += found
+        meaning = quantity.replace("reference", "reference position")
+        units = {c.key: unit[0] for c in scanned if (unit := UNIT.search(c.name))}
+        names |= {
+            key: f"{GIVEN} {meaning} {k} {units.get(key, '')}" for k, key in enumerate(keys, 1)
+        }
+    return [replace(c, name=names[c.key]) for c in scanned]
 
 
 def effort_unit(name: str) -> str:

@@ -16,7 +16,20 @@ from ..arrays import Array
 from ..errors import Location, listed
 from ..files import TableColumn, read_columns, scan_table
 from ..robot import FILL_IN, Robot
-from .column_words import AT_JOINT, EFFORTS, FRANKA, GLUED, KIND, MAKERS, TOKEN, UNIT, UNITS, UR
+from .column_words import (
+    AT_JOINT,
+    EFFORTS,
+    FRANKA,
+    GIVEN,
+    GLUED,
+    KIND,
+    MAKERS,
+    TOKEN,
+    UNIT,
+    UNITS,
+    UR,
+)
+from .completed_map import named_columns
 from .quantities import TIME_UNITS, TURN, turn_jumps
 from .stamps import bursts
 from .time_base import roundest, roundest_rate_hz
@@ -76,9 +89,9 @@ def propose_map(
     """
     scanned, place = scan_table(table, ROWS), Location(str(table))
     maker = next((m for m, x in MAKERS.items() if any(re.search(x, c.name) for c in scanned)), "")
-    columns = _columns(scanned, maker, robot, place)
     if given:
-        columns = _as_given(columns, scanned, given, place)
+        scanned = named_columns(scanned, given, place)
+    columns = _columns(scanned, maker, robot, place)
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
@@ -182,43 +195,6 @@ def _columns(
             found.append(_Column(**vars(column), words=words, label=label, unit=unit))
     place.require(found, text="the table has no columns of numbers")
     return [replace(c, joint=told.get(c.label, "")) for c in found]
-
-
-def _as_given(
-    columns: Sequence[_Column],
-    scanned: Sequence[TableColumn],
-    given: Mapping[str, Sequence[str]],
-    place: Location,
-) -> list[_Column]:
-    """Return the columns with the quantities `given`; of others only times keep theirs."""
-    by_key, found = {c.key: c for c in columns}, dict[str | int, _Column]()
-    for quantity, names in given.items():
-        k = 0
-        for name in names:
-            keys = (
-                [c.key for c in scanned[int(name) - 1 :][:1]]
-                if name.isdigit() and int(name)
-                else [c.key for c in scanned if re.match(rf"{re.escape(name)}(\(|$)", str(c.key))]
-            )
-            place.require(
-                keys and {*keys} <= {*by_key},
-                f"column {name}",
-                text="no column of numbers has this name or number",
-                expected=f"one of {listed([str(c.key) for c in columns])}, or 1 to {len(scanned)}",
-            )
-            for key in keys:
-                k += 1
-                kinds = ("reference", "position") if quantity == "reference" else (quantity,)
-                words = dict.fromkeys(kinds, "given")
-                found[key] = replace(by_key[key], words=words, label=(str(k),), joint="")
-    return [
-        *found.values(),
-        *(
-            replace(c, words={kind: word for kind, word in c.words.items() if kind == "time"})
-            for c in columns
-            if c.key not in found and "time" not in given
-        ),
-    ]
 
 
 def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
@@ -334,7 +310,7 @@ def _listed(columns: Sequence[_Column], why: str) -> str:
     if not columns:
         return f'columns = ["{FILL_IN}"] # {why or "no column has a matching name"}'
     words = dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind)
-    why = "as given" if "given" in words else f"from the names: {', '.join(words)}"
+    why = "as given" if GIVEN in words else f"from the names: {', '.join(words)}"
     return f"columns = {_keys(columns)} # {why}"
 
 

@@ -158,7 +158,11 @@ def test_fit_and_simulation_avoid_slow_scipy(tmp_path):
 MOST_PARAMETERS = 6
 # what users call with arrays: no record of options between
 # those of a public interface, all by keyword
-PLAIN_KEYWORDS = {"identification/notebook.py fit", "acquisition/errors.py __init__"}
+PLAIN_KEYWORDS = {
+    "identification/notebook.py fit",
+    "identification/notebook.py fit_log",
+    "acquisition/errors.py __init__",
+}
 
 
 def parameters(function):
