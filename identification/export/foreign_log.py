@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.errors import COMMAND_LINE, Location, one_line
+from acquisition.errors import Location, one_line
 from acquisition.files import is_recording, write_text
 from acquisition.importing import (
     EFFORT_UNITS,
@@ -32,7 +32,7 @@ from acquisition.robot import FILL_IN, Robot, load_robot
 
 from ..options import LogOptions
 from .chain import Chain, read_chain
-from .description import OF_GAINS, describe, robot_of_chain
+from .description import OF_GAINS, describe, read_robot, robot_of_chain
 
 # Asks for an option, and shows the text before; None if the user does not know.
 Ask = Callable[[str, str], Any]
@@ -88,16 +88,13 @@ def import_foreign_log(
             f"{described}` for an edited map, or make all files anew",
             arguments=("overwrite",),
         )
-    for name in ("ratio", "drive_gain") if not is_urdf else ():
-        COMMAND_LINE.require(
-            getattr(given, name) is None,
-            name,
-            text="applies to a URDF only",
-            advice=f"Set it in {robot}",
-        )
-    chain = read_chain(robot) if is_urdf else None
-    known = robot_of_chain(chain) if chain else load_robot(robot)
-    text = ""
+    gains = {"ratio": given.ratio, "drive_gain": given.drive_gain}
+    chain, text = read_chain(robot) if is_urdf else None, ""
+    known = (
+        robot_of_chain(chain)
+        if chain
+        else read_robot(robot, given={name: x for name, x in gains.items() if x})
+    )
     if is_log(log):
         place.require(
             chain is None,
