@@ -285,22 +285,21 @@ def fit_log(
     NoFitError : the robot moves too little.
     """
 
-    def several(values: Any) -> tuple[Any, ...] | None:
-        alone = isinstance(values, str | float | int)
-        return values if values is None else (values,) if alone else tuple(values)
-
+    several = {
+        "effort_unit": effort_unit,
+        "drive_gain": drive_gain,
+        "ratio": ratio,
+        "position_unit": position_unit,
+    }
     given = LogOptions(
-        effort_unit=several(effort_unit),
-        drive_gain=several(drive_gain),
-        ratio=several(ratio),
-        position_unit=several(position_unit),
         columns=columns,
         topic=topic,
         overwrite=overwrite,
+        **{name: tuple(np.atleast_1d(x).tolist()) for name, x in several.items() if x is not None},
     )
     recording = export.import_foreign_log(Path(path), Path(robot), given, say=_warn)
-    sources = (RecordingFile.at(recording),)
-    return _of_user(results.identify(Recordings(sources=sources), Overrides(), method=method))
+    source = RecordingFile.at(recording)
+    return _of_user(results.identify(Recordings(sources=(source,)), Overrides(), method=method))
 
 
 def _warn(line: str) -> None:

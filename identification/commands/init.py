@@ -4,7 +4,6 @@ import argparse
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
@@ -35,12 +34,6 @@ _URDF_OPTIONS = {
         "bandwidth of the position loop, Hz; if several are given, the lowest one is used",
     ),
 }
-# units of efforts that go with them
-_EFFORTS = {
-    "ratio": ("A", "N m", "%", "V", "N"),
-    "drive_gain": ("A", "%", "V"),
-    "torque_sensor": ("N m",),
-}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +58,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         group.add_argument(option, dest=name, type=list_of_values, metavar=metavar, help=text)
     group.add_argument(
         "--effort",
-        choices=_EFFORTS["ratio"][:3],
+        choices=["A", "N m", "%"],
         help="unit of the recorded efforts; %% is percent of the rated torque (default: that "
         "of the drives, with --bus)",
     )
@@ -166,54 +159,25 @@ def _lines_to_fill_in(text: str) -> Iterator[str]:
 
 
 def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "Chain":
-    """Apply the options that a URDF lacks; refuse those that do not go with the efforts."""
-    given = {
-        name: values for name in (*_URDF_OPTIONS, *_EFFORTS) if (values := getattr(options, name))
-    }
-    efforts = _efforts(chain, options, bus)
-    for name, units in _EFFORTS.items():
-        COMMAND_LINE.require(
-            name not in given
-            or ({*efforts} & {*units} and not (name == "ratio" and options.torque_sensor)),
-            name,
-            given.get(name),
-            text="cannot be combined with --torque-sensor"
-            if name == "ratio" and options.torque_sensor
-            else f"requires efforts in {' or '.join(units)} (--effort or --bus)",
-        )
-    return replace(
-        chain,
-        joints=tuple(replace(j, effort_unit=x) for j, x in zip(chain.joints, efforts, strict=True)),
-        torque_sensors=bool(given.pop("torque_sensor", False)),
-    ).with_values(given)
-
-
-def _efforts(chain: "Chain", options: argparse.Namespace, bus: bytes) -> list[str]:
-    """Return by joint the unit of the recorded effort.
-
-    It is that of the drive of the joint, or as given, and empty if neither gives it.
-    """
+    """Apply the options that a URDF lacks, and the units of the drives of `--bus`."""
     from acquisition.robot import efforts_of_scan
 
-    stated = [
-        "N" if options.effort == "N m" and joint.type == "prismatic" else options.effort or ""
-        for joint in chain.joints
-    ]
-    given = (
-        efforts_of_scan(bus, str(options.bus)) if options.bus is not None else [""] * len(stated)
-    )
+    names = (*_URDF_OPTIONS, "ratio", "drive_gain", "torque_sensor")
+    given = {name: values for name in names if (values := getattr(options, name))}
+    of_drives = [] if options.bus is None else efforts_of_scan(bus, str(options.bus))
     Location(str(options.bus)).require(
-        len(given) == len(stated),
+        options.bus is None or len(of_drives) == len(chain.joints),
         "drives",
-        len(given),
-        f"{len(stated)}, one [[bus.drive]] for each joint of the URDF",
+        len(of_drives),
+        f"{len(chain.joints)}, one [[bus.drive]] for each joint of the URDF",
     )
-    efforts = [unit or said for unit, said in zip(given, stated, strict=True)]
+    stated = chain.units_of([options.effort or ""])
     COMMAND_LINE.require(
-        not options.effort or {*efforts} <= {options.effort, *stated},
+        not (options.effort and of_drives) or {*of_drives} <= {options.effort, *stated},
         "--effort",
         options.effort,
-        text=f"the drives in {options.bus} report {', '.join(efforts)}",
+        text=f"the drives in {options.bus} report {', '.join(of_drives)}",
         advice="Omit --effort",
     )
-    return efforts
+    efforts = [unit or said for unit, said in zip(of_drives or stated, stated, strict=True)]
+    return chain.with_efforts(efforts, given)

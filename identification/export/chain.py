@@ -30,6 +30,12 @@ _NUMBERS = {
     "friction": ("dynamics", "friction"),
 }
 _OF_JOINTS = "position", "speed", "acceleration", "following_error", "ratio", "drive_gain"
+# Units of efforts that go with a value.
+_EFFORTS = {
+    "ratio": ("A", "N m", "%", "V", "N"),
+    "drive_gain": ("A", "%", "V"),
+    "torque_sensor": ("N m",),
+}
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
@@ -218,6 +224,43 @@ class Chain:
     has_inertials: bool = True
     bandwidth_hz: float | None = None
     torque_sensors: bool = False
+
+    def units_of(self, units: Sequence[str]) -> list[str]:
+        """Return units of efforts, one or one per joint, by joint; N m is N for sliding joints."""
+        each = [*units] * (len(self.joints) if len(units) == 1 else 1)
+        return [
+            "N" if unit == "N m" and joint.type == "prismatic" and len(units) == 1 else unit
+            for joint, unit in zip(self.joints, each, strict=False)
+        ]
+
+    def with_efforts(self, units: Sequence[str], given: Mapping[str, Any]) -> "Chain":
+        """Return the chain with the units of the recorded efforts, and with values.
+
+        Parameters
+        ----------
+        units : units by joint.
+        given : values as in `with_values`, and `torque_sensor` if these measure the efforts.
+
+        Raises
+        ------
+        BadInputError : a value does not go with the units, or as `with_values`.
+        """
+        for name, fit in _EFFORTS.items():
+            sensed = name == "ratio" and "torque_sensor" in given
+            COMMAND_LINE.require(
+                name not in given or ({*units} & {*fit} and not sensed),
+                name,
+                given.get(name),
+                text="cannot be combined with torque sensors"
+                if sensed
+                else f"requires efforts in {' or '.join(fit)}",
+            )
+        pairs = zip(self.joints, units, strict=True)
+        return replace(
+            self,
+            joints=tuple(replace(joint, effort_unit=unit) for joint, unit in pairs),
+            torque_sensors="torque_sensor" in given,
+        ).with_values({name: x for name, x in given.items() if name != "torque_sensor"})
 
     def with_values(self, given: Mapping[str, Sequence[float]]) -> "Chain":
         """Return the chain with values that the URDF lacks.

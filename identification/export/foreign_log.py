@@ -31,7 +31,7 @@ from acquisition.importing import (
 from acquisition.robot import FILL_IN, Robot, load_robot
 
 from ..options import LogOptions
-from .chain import Chain, read_chain
+from .chain import read_chain
 from .description import OF_GAINS, describe, read_robot, robot_of_chain
 
 # Asks for an option, and shows the text before; None if the user does not know.
@@ -88,7 +88,7 @@ def import_foreign_log(
             f"{described}` for an edited map, or make all files anew",
             arguments=("overwrite",),
         )
-    gains = {"ratio": given.ratio, "drive_gain": given.drive_gain}
+    gains: dict[str, Any] = {"ratio": given.ratio, "drive_gain": given.drive_gain}
     chain, text = read_chain(robot) if is_urdf else None, ""
     known = (
         robot_of_chain(chain)
@@ -104,7 +104,13 @@ def import_foreign_log(
     else:
         given, text = _complete(log, known, given, ask, bag=bag, of_urdf=is_urdf)
     if chain is not None:
-        chain = _with_efforts(chain, given, text)
+        # Without a ratio, a gain is that at the joint.
+        ratio = given.ratio or (given.drive_gain and (1.0,))
+        gains |= {"torque_sensor": TORQUE_SENSORS in text, "ratio": ratio}
+        chain = chain.with_efforts(
+            chain.units_of(_effort_units(given, text)),
+            {name: values for name, values in gains.items() if values},
+        )
         write_text(described, describe(chain, os.path.relpath(robot, described.parent)))
         known = load_robot(described)
     say(f"{described}: {_robot_line(known)}")
@@ -168,21 +174,6 @@ def _effort_units(given: LogOptions, text: str) -> list[str]:
     """Return the SI units of the efforts, one or one per joint."""
     units = tomllib.loads(text)["effort"]["unit"] if text else given.effort_unit or ()
     return [EFFORT_UNITS[x][0] for x in ([units] if isinstance(units, str) else units)]
-
-
-def _with_efforts(chain: Chain, given: LogOptions, text: str) -> Chain:
-    """Return the chain with the units of the efforts, the gains and the ratios."""
-    units = _effort_units(given, text)
-    joints = tuple(
-        replace(joint, effort_unit="N" if unit == "N m" and joint.type == "prismatic" else unit)
-        for joint, unit in zip(chain.joints, units * len(chain.joints), strict=False)
-    )
-    # Without a ratio, a gain is that at the joint.
-    ratio = given.ratio or ((1.0,) if given.drive_gain else None)
-    values = {"ratio": ratio, "drive_gain": given.drive_gain}
-    return replace(chain, joints=joints, torque_sensors=TORQUE_SENSORS in text).with_values(
-        {name: value for name, value in values.items() if value}
-    )
 
 
 def _robot_line(robot: Robot) -> str:
