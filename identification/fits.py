@@ -356,7 +356,7 @@ class Fit:
         if self.evidence is not None:
             torque = draw_fit(self.file, self.evidence.recordings[0]).first
             return report.to_html(
-                self.document.short, figures=notebook_figure(torque) if torque else ""
+                self.document.short, figures={"": notebook_figure(torque)} if torque else None
             )
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
         document = report.Document(

@@ -7,7 +7,7 @@ pages.
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 from rich import box
@@ -187,43 +187,50 @@ def _plain(text: str) -> str:
     return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))
 
 
-def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
+def to_html(
+    document: Document,
+    *,
+    heading: int = 3,
+    figures: Mapping[str, str] | None = None,
+    contents: str = "",
+) -> str:
     """Return the report as HTML, with its text escaped.
 
-    `figures` follow the first sections that have no table.
+    `figures` are beside the sections with these titles; that of an empty title follows the first
+    sections that have no table. If a fit failed, the first section has the cause, and precedes
+    `contents`.
     """
-    parts = ["\n".join(_html_section(section, heading + 1)) for section in document.sections]
-    first = next((k for k, section in enumerate(document.sections) if section.table), len(parts))
-    return "\n".join(
-        [
-            _element(f"h{heading}", document.title),
-            *_tiles(document),
-            *filter(None, [*parts[:first], figures, *parts[first:]]),
-        ]
-    )
-
-
-def _tiles(document: Document) -> list[str]:
-    """Return the badge and the figures of a report.
-
-    They have styles of their own, since a notebook has no style sheet.
-    """
-    if not document.badge:
-        return []
-    badge = (
-        f"color:#fff;background:{BADGES[document.badge.partition(' · ')[0]]};padding:.2em "
-        ".8em;border-radius:1em;font-weight:700"
-    )
-    return [
-        '<div style="display:flex;flex-wrap:wrap;gap:.6em 2em;align-items:center">'
-        f'<span style="{badge}">{escape(document.badge)}</span>',
-        *(
-            "<span><b "
-            f'style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
-            for what, text in document.figures
-        ),
-        "</div>",
+    placed = figures or {}
+    parts = [
+        f'<div class="beside"><section>{part}</section>{placed[section.title]}</div>'
+        if section.title and section.title in placed
+        else part
+        for section in document.sections
+        for part in ["\n".join(_html_section(section, heading + 1))]
     ]
+    first = next((k for k, section in enumerate(document.sections) if section.table), len(parts))
+    causes = min(1, first) if document.badge.startswith("do not use") else 0
+    shown = [_badge(document.badge), *parts[:causes], contents, _tiles(document.figures)]
+    shown += [*parts[causes:first], placed.get("", ""), *parts[first:]]
+    return "\n".join([_element(f"h{heading}", document.title), *filter(None, shown)])
+
+
+def _badge(text: str) -> str:
+    # A notebook has no style sheet, so that badge and tiles have styles of their own.
+    style = "display:inline-block;padding:.2em .8em;border-radius:1em;font-weight:700;color:#fff"
+    color = BADGES.get(text.partition(" · ")[0])
+    return text and f'<span style="{style};background:{color}">{escape(text)}</span>'
+
+
+def _tiles(figures: Sequence[tuple[str, str]]) -> str:
+    """Return figures side by side, each above its meaning."""
+    tiles = (
+        '<span style="max-width:13em">'
+        f'<b style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>'
+        for what, text in figures
+    )
+    style = "display:flex;flex-wrap:wrap;gap:.6em 2em;margin:.6em 0"
+    return f'<div style="{style}">{"".join(tiles)}</div>' if figures else ""
 
 
 def _html_section(section: Section, heading: int) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..report import Level, ParameterSet, TrustResult, differences
+from ..report import Level, Parameter, ParameterSet, TrustResult, differences
 from ..study import Run, VariedFit, changes_of
 from .panels import (
     COMPARED,
@@ -27,7 +27,6 @@ from .panels import (
     Shape,
     decades,
     linear,
-    logarithmic,
 )
 
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
@@ -38,9 +37,9 @@ LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE,
 
 
 def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
-    """Chart every parameter with its 95 % interval in percent of the value.
+    """Chart every parameter with its 95 % interval.
 
-    Other sets are in half-widths of this interval.
+    It is relative to its end farther from zero. Other sets are in half-widths of this interval.
     """
     legend = [
         ("● essential", ORANGE),
@@ -57,7 +56,7 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
             title=f"Parameters of {own.label}: {part[0]} to {part[-1]}",
             names=[(name, _look(own.parameters[name].essential)[0]) for name in part],
             columns=[
-                _width_column(own, part),
+                _interval_column([own.parameters[name] for name in part]),
                 *([_difference_column(own, others, part)] if others else []),
             ],
             legend=legend,
@@ -66,20 +65,21 @@ def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[
     ]
 
 
-def _width_column(own: ParameterSet, names: Sequence[str]) -> Column:
-    """Return the half-widths of the parameters in percent of their values."""
+def _interval_column(parameters: Sequence[Parameter]) -> Column:
+    """Return the 95 % intervals in percent of their end that is farther from zero.
+
+    All intervals fit the axis, and one that contains zero crosses the line at zero.
+    """
     return Column(
-        head="95 % half-width, % of value",
-        axis=logarithmic(0.01, 100.0, 4),
+        head="95 % interval, farther end = 100 %",
+        axis=linear(-100.0, 100.0, 4),
         marks=[
-            Mark(
-                row=row,
-                value=min(max(p.half_percent, 0.01), 100.0),
-                color=_look(p.essential)[0],
-                shape="bar",
-            )
-            for row, p in enumerate(own.parameters[name] for name in names)
+            Mark(row=row, value=scale * p.value, half=scale * p.half, color=color, shape=shape)
+            for row, p in enumerate(parameters)
+            for scale in [100.0 / (abs(p.value) + p.half or 1.0)]
+            for color, shape in [_look(p.essential)]
         ],
+        lines=(0.0,),
     )
 
 

@@ -10,6 +10,7 @@ from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
 from ..regression import FilteredMotion, Settings
+from ..report import Number
 from ..results import FitOnRecording
 from .panels import (
     JOINTS,
@@ -221,17 +222,21 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
     The second list has plots of the residual alone.
     """
     robot, tau, tau_predicted = one.signals.robot, one.tau, one.tau_predicted
-    torques, residuals = [], []
+    torques, residuals, errors = [], [], one.errors
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
         rest = Curve(
-            key="residual", color=RESIDUAL, line=(one.t_s, tau[:, j] - tau_predicted[:, j])
+            key="residual",
+            color=RESIDUAL,
+            line=(one.t_s, tau[:, j] - tau_predicted[:, j]),
+            below=True,
         )
+        error = Number(errors[j].relative_error_percent, ".3g", most=1000).text
         path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"
         residuals.append(Plot(path=path, title=title, curves=(rest,), legend=False))
         torques.append(
             Plot(
                 path=path,
-                title=f"torque {joint.name} [{unit}]",
+                title=f"torque {joint.name} [{unit}]: error {error} % in motion",
                 curves=(
                     # The measured curve is wide and drawn first, so that it stays visible behind
                     # the model.

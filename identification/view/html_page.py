@@ -5,7 +5,7 @@ pixels of a page, colours as classes that a style sheet sets for light and dark.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
@@ -33,6 +33,7 @@ from .panels import (
     Page,
     Panel,
     Picture,
+    Plot,
     Rows,
     decades,
     linear,
@@ -40,13 +41,18 @@ from .panels import (
 )
 
 MAX_EVENTS = 100  # of a log
+_CONTENTS = "<nav></nav>"  # filled when the headings are known
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-WIDTH, HEIGHT = 480.0, 200.0  # of a plot, in pixels
-LEFT, RIGHT, TOP, BOTTOM = 56.0, 472.0, 8.0, 178.0  # edges of its axes
+WIDTH = 480.0  # of a plot, in pixels
+LEFT, RIGHT, TOP = 56.0, 472.0, 8.0  # edges of its axes
+EDGES = ((178.0, TOP), (268.0, 192.0))  # lower and upper ones, also of axes below the first
+FOOT = 38.0  # height of the texts below
 SHEET, WIDE = 560.0, 1180.0  # widths of rows with two or three columns, and with more
 KINDS = {WIDTH: "plot", SHEET: "sheet", WIDE: "wide"}  # in the style sheet
 HEAD, PITCH = 36.0, 18.0  # heights of the heads of rows, and of a row
 _RING = "m-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0-6.4 0"
+# the axis across, the upright one, and its lower and upper edges
+Axes = tuple[Axis, Axis, tuple[float, float]]
 STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
 
 
@@ -55,6 +61,12 @@ def write_html(path: Path, picture: Picture) -> None:
 
     The file is written completely or not at all.
     """
+    shown = set[Curve | Panel]()
+    front = (
+        _figure(picture.first)
+        if picture.first and not picture.front
+        else _page(picture.front or picture.pages[0], shown)
+    )
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
@@ -67,24 +79,41 @@ def write_html(path: Path, picture: Picture) -> None:
         to_html(
             picture.document.short,
             heading=1,
-            figures=f'<div class="first">{_figure(picture.first)}</div>' if picture.first else "",
+            figures={
+                "": f'<div class="first">{front}</div>',
+                **{title: _figure(panel) for title, panel in picture.beside.items()},
+            },
+            contents=_CONTENTS,
         ),
         "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
         to_html(
             replace(picture.document, title="The whole report", badge=""),
             heading=1,
-            figures="\n".join(filter(None, map(_page, picture.pages))),
+            figures={"": "\n".join(_page(page, shown) for page in picture.pages)},
         ),
         "</details>",
-        "<footer><h2>Made "
-        f"with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
+        '<footer><h2 class="made">Made with</h2>'
+        f"<p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
         *(
             f"<p>{escape(one_line(name))}: SHA-256 <code>{code}</code></p>"
             for name, code in picture.sha256.items()
         ),
         "</footer></main></body></html>\n",
     ]
-    write_text(path, "\n".join(parts))
+    write_text(path, _with_contents("\n".join(parts)))
+
+
+def _with_contents(text: str) -> str:
+    """Number the headings of a page, and link each text of them in its contents once."""
+    start, *pieces = text.split("<h2>")
+    names = [piece.partition("</h2>")[0].partition(". ")[0] for piece in pieces]
+    links = "".join(
+        f'<a href="#s{k}">{name}</a>' * (name not in names[:k])
+        + "<span>In the whole report:</span>" * ("<details>" in pieces[k])
+        for k, name in enumerate(names)
+    )
+    numbered = start + "".join(f'<h2 id="s{k}">{piece}' for k, piece in enumerate(pieces))
+    return numbered.replace(_CONTENTS, f'<nav aria-label="Contents">{links}</nav>')
 
 
 def notebook_figure(panel: Panel) -> str:
@@ -93,7 +122,7 @@ def notebook_figure(panel: Panel) -> str:
     It is in a frame that keeps the style from the notebook.
     """
     height = (
-        HEIGHT
+        EDGES[-1][0] + FOOT
         if isinstance(panel, Graph)
         else HEAD + PITCH * len(panel.names)
         if isinstance(panel, Rows)
@@ -110,20 +139,27 @@ def _style() -> str:
     return files(__package__).joinpath("report.css").read_text(encoding="utf-8")
 
 
-def _page(page: Page) -> str:
+def _page(page: Page, shown: set[Curve | Panel]) -> str:
     """Return a view's figures, group by group, two single figures side by side.
 
-    The text is empty if the view has no figures.
+    Figures of curves that are `shown` are left out, and those of others are added to it. The text
+    is empty if the view has no figures.
     """
     rows = list[list[str]]()
     for panels in page.groups.values():
-        figures = [figure for panel in panels if (figure := _figure(panel))]
+        new = [panel for panel in panels if not _content(panel) <= shown]
+        figures = [figure for panel in new if (figure := _figure(panel))]
+        shown.update(*map(_content, new))
         if rows and len(rows[-1]) == len(figures) == 1:
             rows[-1] += figures
         elif figures:
             rows.append(figures)
     shown = "".join(f'<div class="grid">{"".join(figures)}</div>' for figures in rows)
     return f"<section><h2>{escape(one_line(page.name))}</h2>{shown}</section>" if shown else ""
+
+
+def _content(panel: Panel) -> set[Curve | Panel]:
+    return {*(panel.curves if isinstance(panel, Graph) else ())} or {panel}
 
 
 def _figure(panel: Panel) -> str:
@@ -162,41 +198,60 @@ def _figure(panel: Panel) -> str:
 
 
 def draw_graph(graph: Graph) -> str:
-    """Draw curves with their axes."""
-    curves = [curve for curve in graph.curves if np.isfinite(curve.line[1]).any()]
-    points = np.concatenate(
-        [
-            *(np.stack(c.line, axis=1) for c in curves),
-            *(dots for dots, _ in graph.dots),
-            np.zeros((0, 2)),
+    """Draw curves with their axes; those `below` the others have axes of their own."""
+    curves = sorted(
+        (curve for curve in graph.curves if np.isfinite(curve.line[1]).any()),
+        key=lambda curve: curve.key,
+    )
+    t, _ = _known(curves, graph.dots)
+    across = (logarithmic if graph.log else linear)(t.min(), t.max(), 6)
+    bands = [band for below in (False, True) if (band := [c for c in curves if c.below == below])]
+    bottom, parts = EDGES[len(bands[1:])][0], list[str]()
+    for band, edges in zip(bands or [[]], EDGES, strict=False):
+        axes = across, _up(graph, band), edges
+        parts += [
+            *_grid(axes),
+            *(_cloud(xy, color, axes) for xy, color in graph.dots),
+            f'<g transform="scale({1 / STEPS:g})">',
+            *(_curve(curve, axes) for curve in band),
+            "</g>",
         ]
+    for number, mark in enumerate(mark for mark in graph.marks if t.min() < mark < t.max()):
+        at = float(across.place(mark, LEFT, RIGHT))
+        parts += [
+            f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{bottom:g}"/>',
+            _text(at - 4, bottom - 24 + 16 * number, graph.marks[mark], GREY, "end"),
+        ]
+    label = "time [s]" if isinstance(graph, Plot) else graph.title.rpartition(" over ")[2]
+    parts += [
+        *(
+            _text(min(x, RIGHT - 4 * len(text)), bottom + 16, text, GREY)
+            for value, text in across.ticks.items()
+            for x in [float(across.place(value, LEFT, RIGHT))]
+        ),
+        _text(0.5 * (LEFT + RIGHT), bottom + 32, label, GREY),
+    ]
+    return _svg(graph.title, WIDTH, bottom + FOOT, parts)
+
+
+def _known(curves: Sequence[Curve], dots: Sequence[tuple[Array, Color]]) -> Array:
+    """Return the finite points (2, k) of curves and dots; a zero if there are none."""
+    points = np.concatenate(
+        [*(np.stack(c.line, axis=1) for c in curves), *(xy for xy, _ in dots), np.zeros((0, 2))]
     )
     known = points[np.isfinite(points).all(axis=1)]
-    t, x = (known if len(known) else np.zeros((1, 2))).T  # of a joint that stands still
-    if graph.log:
-        axes = (
-            logarithmic(t.min(), t.max(), 6),
-            decades([max(x.min(), 1e-12 * x.max()), x.max()], 6),
-        )
-    else:
-        margin = 0.04 * float(np.ptp(x)) or 0.05 * float(np.abs(x).max()) or 1.0
-        axes = linear(t.min(), t.max(), 6), linear(x.min() - margin, x.max() + margin, 5)
-    parts = _grid(*axes)
-    for number, mark in enumerate(mark for mark in graph.marks if t.min() < mark < t.max()):
-        at = float(axes[0].place(mark, LEFT, RIGHT))
-        parts += [
-            f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{BOTTOM:g}"/>',
-            _text(at - 4, BOTTOM - 24 + 16 * number, graph.marks[mark], GREY, "end"),
-        ]
-    for dots, color in graph.dots:
-        path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in zip(*_places(axes, dots.T), strict=True))
-        parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
-    parts += [
-        f'<g transform="scale({1 / STEPS:g})">',
-        *(_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key)),
-        "</g>",
-    ]
-    return _svg(graph.title, WIDTH, HEIGHT, parts)
+    return (known if len(known) else np.zeros((1, 2))).T  # of a joint that stands still
+
+
+def _up(graph: Graph, curves: Sequence[Curve]) -> Axis:
+    """Return the upright axis of some curves of a graph."""
+    _, x = _known(curves, graph.dots)
+    margin = 0.04 * float(np.ptp(x)) or 0.05 * float(np.abs(x).max()) or 1.0
+    return (
+        decades([max(x.min(), 1e-12 * x.max()), x.max()], 6)
+        if graph.log
+        else linear(x.min() - margin, x.max() + margin, 5)
+    )
 
 
 def draw_rows(rows: Rows) -> str:
@@ -266,27 +321,33 @@ def _svg(title: str, width: float, height: float, parts: Iterable[str]) -> str:
     )
 
 
-def _grid(across: Axis, up: Axis) -> list[str]:
-    """Draw lines and texts at the ticks."""
-    ups = [(float(up.place(value, BOTTOM, TOP)), text) for value, text in up.ticks.items()]
-    rights = [(float(across.place(x, LEFT, RIGHT)), text) for x, text in across.ticks.items()]
+def _grid(axes: Axes) -> list[str]:
+    """Draw lines at all ticks, and the texts of the upright axis."""
+    across, up, (bottom, top) = axes
+    ups = [(float(up.place(value, bottom, top)), text) for value, text in up.ticks.items()]
     lines = [
         *(f"M{LEFT:g} {_n(y)}H{RIGHT:g}" for y, _ in ups),
-        *(f"M{_n(x)} {TOP:g}V{BOTTOM:g}" for x, _ in rights),
+        *(f"M{_n(float(across.place(x, LEFT, RIGHT)))} {top:g}V{bottom:g}" for x in across.ticks),
     ]
     return [
         f'<path class="l soft grey" stroke-width="0.6" d="{"".join(lines)}"/>',
         *(_text(LEFT - 6, y + 4, text, GREY, "end") for y, text in ups),
-        *(_text(min(x, RIGHT - 4 * len(text)), HEIGHT - 6, text, GREY) for x, text in rights),
     ]
 
 
-def _places(axes: tuple[Axis, Axis], xy: Line | Array) -> Line:
+def _places(axes: Axes, xy: Line | Array) -> Line:
     """Return points in pixels."""
-    return axes[0].place(xy[0], LEFT, RIGHT), axes[1].place(xy[1], BOTTOM, TOP)
+    across, up, edges = axes
+    return across.place(xy[0], LEFT, RIGHT), up.place(xy[1], *edges)
 
 
-def _curve(curve: Curve, axes: tuple[Axis, Axis]) -> str:
+def _cloud(xy: Array, color: Color, axes: Axes) -> str:
+    """Draw dots (k, 2)."""
+    path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in zip(*_places(axes, xy.T), strict=True))
+    return f'<path class="l cloud {CLASSES[color]}" d="{path}"/>'
+
+
+def _curve(curve: Curve, axes: Axes) -> str:
     """Draw a curve by its minimum and maximum in each column of pixels."""
     known = np.isfinite(curve.line[1])
     x, y = _places(axes, (curve.line[0][known], curve.line[1][known]))
@@ -296,7 +357,7 @@ def _curve(curve: Curve, axes: tuple[Axis, Axis]) -> str:
     # A curve of one moment has no length, so draw a point that can be seen.
     path = f"M{xy[0, 0]} {xy[0, 1]}l{steps.replace(' -', '-') or f'{STEPS:g} 0'}"
     look = f"l {CLASSES[curve.color]}{' dash' if curve.dashed else ''}"
-    return f'<path class="{look}" stroke-width="{max(1.2, 0.8 * curve.width):g}" d="{path}"/>'
+    return f'<path class="{look}" stroke-width="{max(1.2, 1.1 * curve.width):g}" d="{path}"/>'
 
 
 def _text(x: float, y: float, text: str, color: Color, anchor: str = "middle") -> str:

@@ -16,7 +16,7 @@ from ..report import Document, FitFile, ParameterSet, Section, comparison_sectio
 from ..results import FitOnRecording
 from ..study import Run, VariedFit
 from . import charts, curves
-from .panels import Page, Picture, Plot
+from .panels import Page, Panel, Picture, Plot
 from .recording_panels import event_logs, friction_charts, health_plots, spectrum_charts
 from .robot_drawing import excitation_scene, robot_scene
 
@@ -44,35 +44,39 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
-    trust = Page(name="trust", groups={"tests": charts.trust_charts(fit.trust or ())})
-    charted = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)})
+    trust = Page(name="tests", groups={"tests": charts.trust_charts(fit.trust or ())})
+    charted = Page(name="intervals", groups={"deviations": charts.deviation_charts(own, others)})
     assert fit.provenance is not None
     if one is None:
         return Picture(
             name=f"{fit.provenance.robot}, {fit.provenance.recording}, {label}",
             document=document,
-            pages=(trust, charted),
+            pages=(charted, trust),
             sha256={fit.provenance.recording: fit.provenance.sha256},
+            beside=_intervals(own, others, document),
         )
     signals = one.signals
     torque, residual = curves.row_plots(one)
+    friction = _friction_page({"": fit}, {"": [one]})
     overview, *of_signals = _signal_pages(signals, one.problem.settings, one, residual)
     each = [error.relative_error_percent or 0.0 for error in one.errors[:-1]]
     j = each.index(max(each))
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
-        first=replace(
-            torque[j],
-            title=f"Torque of {signals.robot.joints[j].name} (largest relative error), "
-            f"{signals.robot.effort_units[j]} over time in s",
+        first=torque[j],
+        # The friction of a single joint stands beside its torque.
+        front=Page(
+            name=f"torque and residual: {signals.recording}",
+            groups={"torque": (*torque, *friction.groups["friction"])[: max(2, len(torque))]},
         ),
+        beside=_intervals(own, others, document),
         document=document,
         pages=(
             overview,
             trust,
             charted,
             Page(name="residual", groups={"residual": residual}),
-            _friction_page({"": fit}, {"": [one]}),
+            friction,
             *of_signals,
         ),
         sha256={signals.recording: signals.sha256},
@@ -192,6 +196,19 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     )
 
 
+def _intervals(
+    own: ParameterSet, others: Sequence[ParameterSet], document: Document
+) -> Mapping[str, Panel]:
+    """Chart the parameters of a short report's table, by the title of its section."""
+    return {
+        section.title: chart
+        for section in document.short.sections
+        if section.table and section.table.rows and section.table.columns[0][0] == "parameter"
+        for listed in [{str(x): own.parameters[str(x)] for x, *_ in section.table.rows}]
+        for chart in charts.deviation_charts(replace(own, parameters=listed), others)
+    }
+
+
 def _signal_pages(
     signals: Signals,
     settings: Settings | None,
@@ -250,18 +267,19 @@ def _friction_page(
 def join_pictures(pictures: Sequence[Picture]) -> Picture:
     """Join the views of a fit to several recordings.
 
-    All views of the first recording come first, then the signals of the others.
+    All views of the first recording come first, then torque and signals of the others.
     """
     first, *others = pictures
     return replace(
         first,
         pages=(
             *first.pages,
+            *(one.front for one in others if one.front),
             *[
                 replace(page, name=f"{page.name}: {one.name}")
                 for one in others
                 for page in one.pages
-                if page.name in ("overview", "residual", "signal", "motion")
+                if page.name in ("overview", "signal", "motion")
             ],
         ),
     )

@@ -23,13 +23,15 @@ Color = tuple[int, int, int]
 ORANGE, SKY, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
 BLUE, VERMILLION, PURPLE = (0, 114, 178), (213, 94, 0), (204, 121, 167)
 GREY, LIGHT = (140, 140, 140), (205, 205, 205)
-MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL = GREY, GREEN, SKY, ORANGE, VERMILLION
+# Like grey and orange, but the page has shades of them that can be told apart when they overlap.
+MEASURED, PREDICTED = (141, 141, 141), (230, 160, 0)
+REFERENCE, SIMULATED, RESIDUAL = GREEN, SKY, VERMILLION
 JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
 COMPARED = (PURPLE, GREEN)  # the parameter sets that a fit is compared with
 CLASSES: dict[Color, str] = {  # of the style sheet, which has a shade of each for light and dark
     ORANGE: "orange", SKY: "sky", GREEN: "green", YELLOW: "yellow", BLUE: "blue",
     VERMILLION: "vermillion",
-    PURPLE: "purple", GREY: "grey", LIGHT: "light",
+    PURPLE: "purple", GREY: "grey", LIGHT: "light", MEASURED: "measured", PREDICTED: "model",
 }  # fmt: skip
 
 
@@ -48,7 +50,7 @@ class Curve:
     Lines are drawn in order of their keys, last in front.
 
     A `dashed` line is dashed where the renderer can do it, so that its shape too distinguishes it
-    from grey.
+    from grey. A line `below` has axes of its own below the others, over the same time.
     """
 
     key: str
@@ -57,6 +59,7 @@ class Curve:
     name: str = ""
     width: float = 1.0
     dashed: bool = False
+    below: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,7 +222,8 @@ class Page:
 class Picture:
     """A result with its name, report and views.
 
-    `sha256` are those of its files by name, `first` is the panel to look at first.
+    `sha256` are those of its files by name, `first` is the panel to look at first. A page has the
+    panels of `front` in its place, and others `beside` the sections with these titles.
     """
 
     name: str
@@ -227,3 +231,5 @@ class Picture:
     pages: tuple[Page, ...]
     sha256: Mapping[str, str]
     first: Panel | None = None
+    front: Page | None = None
+    beside: Mapping[str, Panel] = field(default_factory=dict)
