@@ -23,14 +23,19 @@ from browser import Browser, browser
 EMPS, TX40 = (REPLAY / robot / "session.mcap" for robot in ("emps", "tx40"))
 NOISE = ",".join(f"{k}e-6" for k in range(2, 21, 2))  # m rms
 MARGIN = 4  # pixels around a figure
+# The only figure of a study; of a fit that of the third joint, or of the only one.
+FIRST = "const x = document.querySelectorAll('.first figure'); return (x[2] || x[0]).outerHTML"
 # Name of a picture, commands, script of the element to cut out of the last report, and pixels per
 # pixel of the page. `kept` has the first figures of all reports.
 PICTURES = {
     "overview.png": (
         [["study", EMPS, "--position-noise", NOISE], ["fit", TX40]],
+        # Widths for which both figures have one height, with texts of one size.
         "const main = document.querySelector('main'); main.innerHTML = kept; main.style.cssText = "
-        "'display: flex; gap: 1.5em; width: 1160px; padding: 0'; for (const one of main.children) "
-        "one.style.cssText = 'flex: 1 1 0; min-width: 0; margin: 0'; return main",
+        "'display: flex; gap: 1.5em; width: 1100px; padding: 0'; for (const one of main.children) "
+        "{ const wide = one.querySelector('svg').viewBox.baseVal.height < 300 ? 1.42 : 1; "
+        "one.style.cssText = `flex: ${wide} 1 0; min-width: 0; margin: 0`; for (const text of "
+        "one.querySelectorAll('text')) text.style.fontSize = `${14 / wide}px` } return main",
         2,
     ),
     "report.png": (
@@ -79,7 +84,7 @@ def write_pictures() -> None:
             for command, log, *options in [one for one in commands if Path(one[1]).exists()]:
                 assert main([command, str(log), *options, "--report", "report.html"]) in (0, 3)
                 window.open(Path("report.html"))
-                kept += window.run("return document.querySelector('.first').outerHTML")
+                kept += window.run(FIRST)
             if kept:
                 script = f"const kept = {json.dumps(kept)}; {element}"
                 (REPLAY / "pictures" / name).write_bytes(cut_out(window, script, scale))

@@ -66,7 +66,7 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
         first=torque[j],
         # The friction of a single joint stands beside its torque.
         front=Page(
-            name=f"torque and residual: {signals.recording}",
+            name=f"Torque and residual: {signals.recording}",
             groups={"torque": (*torque, *friction.groups["friction"])[: max(2, len(torque))]},
         ),
         beside=_intervals(own, others, document),

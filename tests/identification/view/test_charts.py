@@ -82,10 +82,10 @@ def test_parameter_rows_have_intervals_differences():
     (chart,) = deviation_charts(own, [ls, true])
     assert chart.names == [("M1", ORANGE), ("M2", GREY), ("M3", ORANGE)]
     assert {("× LS", PURPLE), ("| true", GREEN)} <= set(chart.legend)
-    percent, far = chart.columns
-    assert [m.value for m in percent.marks] == pytest.approx(
-        [100 * 1.96 * 0.15, 100 * 1.96 * 0.1, 100.0]
-    )
+    interval, far = chart.columns
+    ends = [x for m in interval.marks for x in (m.value - m.half, m.value + m.half)]
+    assert ends == pytest.approx([100 * 1.412 / 2.588, 100, -100, -100 * 0.804 / 1.196, -100, 100])
+    assert interval.lines == (0.0,)
     own_marks = [m for m in far.marks if m.shape in ("dot", "ring")]
     assert [(m.row, m.value, m.half, m.shape) for m in own_marks] == [
         (0, 0.0, 1.0, "dot"), (1, 0.0, 1.0, "ring"), (2, 0.0, 1.0, "dot"),
@@ -110,6 +110,27 @@ def test_parameter_rows_have_intervals_differences():
         "in those of the other"
     )
     assert len(deviation_charts(own, [])[0].columns) == 1
+
+
+def test_interval_with_zero_crosses_line_at_zero():
+    """Of values between half and twice their half-widths, on both sides of zero."""
+    rng = np.random.default_rng(7)
+    half = rng.uniform(1e-3, 1e3, 12)
+    value = half * rng.uniform(0.5, 2.0, 12) * np.tile([1, -1], 6)
+    own = values("IV", **{f"M{k}": (value[k], half[k] / 1.96) for k in range(12)})
+    (chart,) = deviation_charts(own, [])
+    drawn = draw_rows(chart)
+    head = {t: float(x) for x, t in re.findall(r'x="([\d.]+)" y="31">([-\d]+)<', drawn)}
+    (zero,) = map(float, re.findall(r'stroke-width="1.5" d="M([\d.]+) ', drawn)[:1])
+    assert zero == head["0"] == pytest.approx(0.5 * (head["-100"] + head["100"]), abs=0.1)
+    found = re.findall(r'l orange" stroke-width="2.2" d="M([\d.]+) ([\d.]+)H([\d.]+)"', drawn)
+    low, y, high = np.array(found, dtype=float).T
+    np.testing.assert_allclose(y, HEAD + PITCH * (np.arange(12) + 0.5), atol=0.06)
+    assert ((low < zero) & (zero < high)).tolist() == (abs(value) < half).tolist()
+    assert 3 < (abs(value) < half).sum() < 9
+    reach = (head["100"] - zero) / (abs(value) + half)
+    np.testing.assert_allclose(low, zero + reach * (value - half), atol=0.11)
+    np.testing.assert_allclose(high, zero + reach * (value + half), atol=0.11)
 
 
 def test_figures_of_tests_have_intervals():
