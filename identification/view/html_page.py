@@ -59,7 +59,8 @@ STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
 def write_html(path: Path, picture: Picture) -> None:
     """Write the report, all panels but the moving robot, versions and digests as HTML.
 
-    The file is written completely or not at all.
+    The short report comes first. The whole one follows folded, if it has more. The file is written
+    completely or not at all.
     """
     shown = set[Curve | Panel]()
     front = (
@@ -67,14 +68,12 @@ def write_html(path: Path, picture: Picture) -> None:
         if picture.first and not picture.front
         else _page(picture.front or picture.pages[0], shown)
     )
+    others = "".join(_page(page, shown) for page in picture.pages)
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1"><meta '
         'name="color-scheme" content="light dark">',
-        f""
-        f""
-        f""
         f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
         to_html(
             picture.document.short,
@@ -85,13 +84,19 @@ def write_html(path: Path, picture: Picture) -> None:
             },
             contents=_CONTENTS,
         ),
-        "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
-        to_html(
-            replace(picture.document, title="The whole report", badge=""),
-            heading=1,
-            figures={"": "\n".join(_page(page, shown) for page in picture.pages)},
+        *(
+            (
+                "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
+                to_html(
+                    replace(picture.document, title="The whole report", badge="", figures=()),
+                    heading=1,
+                    figures={"": others},
+                ),
+                "</details>",
+            )
+            if others or picture.document.short != picture.document
+            else ()
         ),
-        "</details>",
         '<footer><h2 class="made">Made with</h2>'
         f"<p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
         *(
@@ -154,8 +159,8 @@ def _page(page: Page, shown: set[Curve | Panel]) -> str:
             rows[-1] += figures
         elif figures:
             rows.append(figures)
-    shown = "".join(f'<div class="grid">{"".join(figures)}</div>' for figures in rows)
-    return f"<section><h2>{escape(one_line(page.name))}</h2>{shown}</section>" if shown else ""
+    grids = "".join(f'<div class="grid">{"".join(figures)}</div>' for figures in rows)
+    return f"<section><h2>{escape(one_line(page.name))}</h2>{grids}</section>" if grids else ""
 
 
 def _content(panel: Panel) -> set[Curve | Panel]:
