@@ -140,7 +140,7 @@ def test_rerun_has_time_series_html_the_rest(tmp_path):
 
 
 def test_contents_link_every_section(tmp_path):
-    page = page_of(picture(TX40), tmp_path)
+    page = page_of(picture(SCARA), tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     result, _ = text.split("<details>")
     contents = re.search(r"<nav.*?</nav>", result)[0]
@@ -153,7 +153,8 @@ def test_contents_link_every_section(tmp_path):
     before, after = contents.split("<span>In the whole report:</span>")
     assert [f' id="{key}"' in result for key in links] == [f'"#{key}"' in before for key in links]
     assert {"overview", "Settings"} <= {*re.findall(r">(\w+)</a>", after)}
-    assert result.index("</span>") < result.index(contents) < result.index("<figure")
+    places = [result.index(part) for part in ("</span>", contents, "<h2 ", "<figure")]
+    assert places == sorted(places), "badge, contents, verdict"
 
 
 def test_every_joint_has_torque_above_residual(tmp_path):
@@ -187,11 +188,11 @@ def test_every_joint_has_torque_above_residual(tmp_path):
 
 
 def test_axes_of_curves_have_units(tmp_path):
-    write_html(tmp_path / "report.html", picture(TX40))
+    write_html(tmp_path / "report.html", picture(SCARA))
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     plots = re.findall(r'<figure class="plot".*?<figcaption>(.*?)<.*?<svg(.*?)</svg>', text)
     plots = [(title, drawn) for title, drawn in plots if "scale(" in drawn]
-    assert len(plots) > 40
+    assert len(plots) == 2 + 2 + 2 + 2 + 2 + 6
     for title, drawn in plots:
         assert re.search(r">(time \[s\]|speed \[rad/s\]|frequency \[Hz\])</text>$", drawn), title
         assert re.search(r" \[\S.*\]", title), title
@@ -217,9 +218,6 @@ def test_failed_fit_begins_with_cause(tmp_path):
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     assert '<p class="fact">' not in text[: places[2]], "the worst finding is the first"
-    page_of(picture(SCARA), tmp_path)
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert text.index("<nav ") < text.index("<h2 "), "no cause precedes the contents"
 
 
 def luminance(color):
