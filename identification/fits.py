@@ -225,7 +225,14 @@ class Fit:
         return results.validation_file(each, "the fit", errors, lines)
 
     def export(
-        self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False
+        self,
+        *,
+        urdf: Out = None,
+        mjcf: Out = None,
+        toml: Out = None,
+        allow_untrusted: bool = False,
+        draws: int = 0,
+        seed: int = 1,
     ) -> str:
         """Write the fit as a URDF, a MuJoCo model and a robot.toml.
 
@@ -237,23 +244,33 @@ class Fit:
         mjcf : MuJoCo model to write.
         toml : robot.toml to write, with the fitted `[parameters]` and drive gains.
         allow_untrusted : True to export a fit with the verdict `do not use`.
+        draws : number of physically consistent models, drawn from the intervals of the fit, to
+            write beside each file: `robot_01.xml` and so on beside `robot.xml`.
+        seed : seed of the draws; the same one gives the same files.
 
         Returns
         -------
-        A report in Markdown that says what each format cannot represent.
+        A report in Markdown that says what each format cannot represent, and where the spread of
+        the draws is narrower than the intervals.
 
         Raises
         ------
         BadInputError : the verdict is `do not use`, the fit is in A or V, or no physically
             consistent parameters exist.
         """
-        paths = {
+        paths: dict[str, Any] = {
             kind: Path(path)
             for kind, path in (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
             if path is not None
         }
         return report.to_markdown(
-            export.export_fit(self.file, self.place, untrusted=allow_untrusted, **paths)
+            export.export_fit(
+                self.file,
+                self.place,
+                untrusted=allow_untrusted,
+                drawn=(draws, seed),
+                **paths,
+            )
         )
 
     def consistent(self, prior: File | None = None) -> "Fit":

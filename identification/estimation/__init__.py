@@ -7,6 +7,7 @@ recording and no file.
 
 from .confidence import (
     LEVEL,
+    NORMAL_REACH,
     WHITE_COSINES,
     Intervals,
     by_rows_alone,
@@ -23,6 +24,7 @@ from .confidence import (
     not_below_white,
 )
 from .consistency import (
+    GAMMA_X,
     Consistent,
     PhysicalParameters,
     consistent_parameters,

@@ -9,7 +9,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,7 @@ from msgspec import UNSET, structs
 from acquisition.errors import COMMAND_LINE, Location, one_line
 from acquisition.files import atomic_write, format_numbers, refuse_clash
 
-from ..arrays import Array
-from ..model import SHAPES, InverseModel, base_parameters
+from ..model import InverseModel
 from ..report import (
     Document,
     DriveGain,
@@ -30,11 +29,16 @@ from ..report import (
     Row,
     Section,
     Table,
-    base_name,
     columns,
-    known,
 )
-from ..results import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
+from ..results import (
+    Draws,
+    consistent_set,
+    draw_consistent,
+    refuse_unknown_gain,
+    stored_estimate,
+    stored_robot,
+)
 from .exported_model import STATES, ExportedModel, Losses, representable, split_parameters
 from .formats import mjcf_text, servo_loop, urdf_text
 
@@ -42,21 +46,32 @@ SOFT_FRICTION = (
     "MuJoCo's frictionloss is a soft constraint: a joint near rest creeps, a moving joint has its "
     "full friction"
 )
+MIN_SPREAD = 0.9  # of the interval; parameters with less spread in the draws are reported
 _TABLE_HEADER = re.compile(
     r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
 )
 
 
 def export_fit(
-    stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None
+    stored: FitFile,
+    place: str,
+    *,
+    untrusted: bool = False,
+    drawn: tuple[int, int] = (0, 1),
+    say: Callable[[str], None] = lambda text: None,
+    **outputs: Path | None,
 ) -> Document:
     """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
+
+    The models of draws from the intervals of the fit get the numbered names of the outputs.
 
     Parameters
     ----------
     stored : the fit.
     place : its file, for errors.
     untrusted : True to export a fit with the verdict `do not use`.
+    drawn : number of draws, and their seed.
+    say : shows the progress.
     outputs : files by format.
 
     Raises
@@ -64,6 +79,17 @@ def export_fit(
     BadInputError : the fit is not to be used; or as in `model_of_fit`.
     """
     refuse_clash((), of_kinds=outputs)
+    draws, seed = drawn
+    COMMAND_LINE.require(min(drawn) >= 0, "draws, seed", drawn, "whole numbers, 0 or greater")
+    numbered: list[dict[str, Any]] = [
+        {
+            kind: path and path.parent / f"{path.stem}_{k:0{len(str(draws))}}{path.suffix}"
+            for kind, path in outputs.items()
+        }
+        for k in range(1, draws + 1)
+    ]
+    for files in numbered:
+        refuse_clash((), *outputs.values(), of_kinds=files)
     reasons = (
         stored.warnings_of(place)
         if stored.verdict is UNSET  # in files of earlier versions
@@ -75,8 +101,19 @@ def export_fit(
         advice="Export a trusted fit, or allow others",
         arguments=("allow_untrusted",),
     )
-    mechanism, lines = model_of_fit(stored, place)
-    texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
+    (m, lines), source = model_of_fit(stored, place), Path(place).name
+    texts, document = export_model(m, source, lines=lines, **outputs)
+    if draws:
+        say(f"drawing {draws} models")
+        found = draw_consistent(m.model, *stored_estimate(stored, m.model, place), m.chi, drawn)
+        for k, (files, chi) in enumerate(zip(numbered, found.chi, strict=True), start=1):
+            say(f"writing draw {k} of {draws}")
+            texts |= export_model(
+                split_parameters(m.model, chi, place),
+                f"{source}, draw {k} of {draws}, seed {seed}",
+                **files,
+            )[0]
+        document = document.followed_by(_draws_section(found, numbered, seed))
     write_models(texts)
     return document.followed_by(Section(warnings=tuple(reasons))) if reasons else document
 
@@ -87,68 +124,60 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     It has the description of the fit, with its drive gains.
     """
     stored, lines = with_findings(stored, place)
-    robot = stored_robot(stored, place)
-    refuse_unknown_gain(robot)
-    model = InverseModel(robot)
-    if stored.standard_parameters is UNSET:
-        chi, line = _make_consistent(stored, model, place)
-        return split_parameters(model, chi, place), (*lines, line)
-    parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
+    model = InverseModel(stored_robot(stored, place))
+    refuse_unknown_gain(model.robot)
+    parameters, c = tuple(stored.standard_parameters or ()), stored.consistent
+    if not parameters:
+        base, estimate, _ = stored_estimate(stored, model, place)
+        c, parameters = consistent_set(model, base, estimate)
+        lines.append(
+            f"the parameters of {place} were adjusted to be physically consistent: largest change "
+            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase "
+            f"of chi² {c.chi2:.3g} over {base.b} parameters; a priori values from {c.prior}; "
+            f"Newton decrement {c.certificate:.1e}"
+        )
+    elif c is not UNSET:
+        lines.append(
+            f"the physically consistent parameters of {place}: largest change "
+            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase "
+            f"of chi² {c.chi2:.3g}; a priori values (weight {c.prior_weight:g}) from {c.prior}"
+        )
+    names = list(zip(model.names, model.units, strict=True))
     Location(place).require(
         [(p.name, p.unit) for p in parameters] == names,
         "standard_parameters",
         next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None),
         f"the {len(names)} parameters of the description",
     )
-    if (c := stored.consistent) is not UNSET:
-        lines.append(
-            f"the physically consistent parameters of {place}: largest change "
-            f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase "
-            f"of chi² {c.chi2:.3g}; a priori values (weight {c.prior_weight:g}) from {c.prior}"
-        )
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
 
-def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
-    left_out = {p.name: p.sigma for p in stored.left_out or ()}
-    given, base = {base_name(p.name) for p in stored.parameters}, base_parameters(model)
-    # Further friction terms may be left out altogether, which is not to estimate them as zero.
-    shapes = {term.name for term in model.terms.values() if term.kind in SHAPES}
-    base = base.without(shapes - given - left_out.keys())
-    beta = stored_beta(stored, base, place)
-    found = Location(place).given(
-        known(stored.covariance),
-        "covariance",
-        None,
-        text="a fit cannot be made physically consistent without it",
-        advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
-    )
-    names, values = found.names, np.array(found.values)
-    shared = [base_name(name) for name in names]
-    missing = [name for name in base.names if name not in shared and name not in left_out]
-    Location(place).require(
-        not missing and values.shape == (len(names), len(names)),
-        "covariance",
-        text=f"lacks {', '.join(missing[:5])}" if missing else "",
-        expected="one row and column per parameter",
-    )
-    # Per-recording parameters have their mean, as in `stored_beta`.
-    mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
-    covariance = (
-        np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
-    )
-    sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
-    reach = float(
-        np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0])
-    )
-    c, parameters = consistent_set(
-        model, base, Known(beta=beta, covariance=covariance, reach=reach)
-    )
-    return np.array([p.value for p in parameters]), (
-        f"the parameters of {place} were adjusted to be physically consistent: largest change "
-        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}; increase of "
-        f"chi² {c.chi2:.3g} over {base.b} parameters; a priori values from {c.prior}; "
-        f"Newton decrement {c.certificate:.1e}"
+def _draws_section(found: Draws, files: Sequence[Mapping[str, Path | None]], seed: int) -> Section:
+    """Make the section of draws in numbered files, with the intervals that they do not fill."""
+    return Section(
+        title=f"{len(files)} draws: "
+        + ", ".join(f"{files[0][kind]} to {last}" for kind, last in files[-1].items() if last),
+        lines=(
+            f"drawn around the model with the 95 % intervals and the correlations of the fit (C), "
+            f"seed {seed}, and made physically consistent; not drawn: drive gains, parameters that "
+            "the fit left out, and values that no torque depends on",
+            "largest change of each draw for physical consistency, in half-widths: "
+            f"median {np.median(found.changes):.2g}, largest {found.changes.max():.2g}",
+            *(
+                f"{text}: {', '.join(parts)}"
+                for text, parts in {
+                    "at a bound of physical consistency, in percent of the draws": [
+                        f"{text} {100 * share:.0f}" for text, share in found.at_bound.items()
+                    ],
+                    "narrower than the interval because of a bound, spread in percent of it": [
+                        f"{name} {100 * share:.0f}"
+                        for name, share in found.narrowed.items()
+                        if share < MIN_SPREAD
+                    ],
+                }.items()
+                if parts
+            ),
+        ),
     )
 
 
@@ -378,7 +407,8 @@ def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
     place = f"the robot.toml in {place}"
     if text and stored.gains is not UNSET:
         written = {
-            gain.motor: _keys(gain)
+            gain.motor: ({"drive_gain_half_width": gain.half_width} if gain.half_width > 0 else {})
+            | {"drive_gain_unit": gain.unit, "drive_gain": gain.value}
             for gain in stored.gains
             if gain.determined or gain.described is None
         }
@@ -403,11 +433,6 @@ def with_findings(stored: FitFile, place: str) -> tuple[FitFile, list[str]]:
     if lines:
         stored = structs.replace(stored, description={**stored.description, "robot.toml": text})
     return stored, lines
-
-
-def _keys(gain: DriveGain) -> dict[str, object]:
-    values: dict[str, object] = {"drive_gain_unit": gain.unit, "drive_gain": gain.value}
-    return {"drive_gain_half_width": gain.half_width} | values if gain.half_width > 0 else values
 
 
 def _gain_line(gain: DriveGain, *, written: bool) -> str:

@@ -6,7 +6,14 @@ consistent parameters. It may use `methods` and the subpackages below; `study` a
 it.
 """
 
-from .consistent import Known, consistent_set, with_consistent
+from .consistent import (
+    Draws,
+    Known,
+    consistent_set,
+    draw_consistent,
+    stored_estimate,
+    with_consistent,
+)
 from .evidence import HORIZONS_S, Evidence, FitOnRecording, errors_ahead, validated
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document

@@ -228,6 +228,12 @@ EXPORT = [
         "out.xml",
     ),
     *(row(f"export open.json --{kind}", "out") for kind in ("mjcf out.xml", "toml out.toml")),
+    *(
+        row(f"export {fit}.json --mjcf out.xml --draws 2", "2 draws: out_1.xml to out_2.xml", of="")
+        for fit in ("essential", "consistent", "own", "gains", "carried")
+    ),
+    row("export rub.json --urdf out.urdf --draws 10 --seed 2", "out_01.urdf to out_10.urdf", of=""),
+    row("export fit.json --mjcf out.xml --seed 2", "--seed = 2: requires --draws", 1),
     row("export fit.json --mjcf robot.toml", "robot.toml", 1),
     row("fit log.mcap --rrd robot.toml", "robot.toml", 1),
 ]

@@ -21,6 +21,7 @@ from random_arms import set_own
 from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
+from identification import Fit
 from identification.control import Reference, described_law
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
@@ -502,6 +503,84 @@ def test_files_written_all_or_none(fits, tmp_path, capsys):
     for outputs in (outputs_in(tmp_path), [], ["--toml", fits["consistent"]]):
         refused(capsys, "export", fits["consistent"], *outputs)
     assert [p.name for p in tmp_path.iterdir()] == ["x.mjcf"]
+
+
+DRAWS = 20
+
+
+@pytest.fixture(scope="module")
+def draws_of_tx40(tmp_path_factory):
+    """A folder with the model of the TX40 and its draws, and what the command printed."""
+    folder, fit = tmp_path_factory.mktemp("draws"), read_fit(REPLAY / "tx40" / "fit.json")
+    printed = Fit(fit, "fit.json").export(
+        **{kind: folder / f"x.{kind}" for kind in ("urdf", "mjcf", "toml")}, draws=DRAWS
+    )
+    return folder, printed
+
+
+def test_draws_load_with_their_own_torques(draws_of_tx40):
+    """In MuJoCo and pinocchio; rotors and links, since Fv6 of some is below zero."""
+    folder, printed = draws_of_tx40
+    names = [f"x_{k:02}" for k in range(1, DRAWS + 1)]
+    assert {p.stem for p in folder.iterdir()} == {"x", *names}
+    q, dq, ddq = states(6, count=5)
+    found = []
+    for name in names:
+        robot = load_robot(folder / f"{name}.toml")
+        model = InverseModel(robot)
+        chi = np.array([robot.parameters[x] for x in model.names])
+        text = (folder / f"{name}.mjcf").read_text()
+        assert (
+            min(map(float, re.findall(r'(?:damping|frictionloss|armature)="([^"]*)"', text))) >= 0
+        )
+        text = re.sub('damping="[^"]*"', 'damping="0"', text)
+        in_mujoco, _ = inverse_in_mujoco(text, q, dq, ddq, friction=False)
+        expected = torque(model, chi, q, dq, ddq, without=["viscous", "coulomb", "offset"])
+        np.testing.assert_allclose(in_mujoco, expected, atol=1e-9)
+        joints = [joint.name for joint in robot.joints]
+        links, _ = in_pinocchio((folder / f"{name}.urdf").read_text(), joints, q, dq, ddq)
+        expected = torque(model, chi, q, dq, ddq, without=["terms"])
+        np.testing.assert_allclose(links, expected, atol=1e-9)
+        found.append(in_mujoco)
+    assert (np.std(found, axis=0) > 1e-6).all()
+    first, last = (f"{folder}/x_{k}.mjcf" for k in ("01", "20"))
+    assert f"{first} to {last}" in printed
+    assert re.search(r"at a bound of physical consistency.*link 6", printed)
+    assert re.search(r"narrower than the interval.*XY6", printed)
+
+
+def test_same_seed_draws_same_files(fits, tmp_path, capsys):
+    made = {}
+    for name, options in {
+        "a": ["--draws", 3],
+        "b": ["--draws", 3, "--seed", 1],
+        "c": ["--draws", 3, "--seed", 2],
+        "d": [],
+    }.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        assert run(capsys, "export", fits["consistent"], *outputs_in(folder), *options)[0] == 0
+        made[name] = {p.name: p.read_bytes() for p in folder.iterdir()}
+    assert made["a"] == made["b"]
+    assert made["d"] == {name: made["c"][name] for name in ("x.urdf", "x.mjcf", "x.toml")}
+    same = {name for name in made["a"] if made["a"][name] == made["c"][name]}
+    assert same == {"x.urdf", "x.mjcf", "x.toml"}
+    assert len({*made["a"].values(), *made["c"].values()}) == 3 + 2 * 9
+
+
+def test_draws_replace_nothing_else(fits, tmp_path, capsys):
+    fit, notes = fits["consistent"], tmp_path / "x_2.mjcf"
+    notes.write_text("check the brake\n")
+    command = ["export", fit, "--mjcf", tmp_path / "x.mjcf"]
+    assert "x_2.mjcf: the file already exists" in refused(capsys, *command, "--draws", 3)
+    both = "two outputs have this name"
+    assert both in refused(capsys, *command, "--urdf", tmp_path / "x_1.mjcf", "--draws", 3)
+    assert "--seed" in refused(capsys, *command, "--seed", 3)
+    for options in ({"draws": -1}, {"draws": 1, "seed": -1}):
+        with pytest.raises(BadInputError, match="0 or greater"):
+            Fit.read(fit).export(mjcf=tmp_path / "x.mjcf", **options)
+    assert [p.name for p in tmp_path.iterdir()] == [notes.name]
+    assert notes.read_text() == "check the brake\n"
 
 
 GAINS = [
