@@ -30,7 +30,7 @@ from ..model import (
     direct_model_of_base,
 )
 from ..regression import Overrides, Problem, make_problem, with_common_band
-from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name
+from ..report import FitFile, Parameter, ParameterSet, TorqueResidual, base_name, recording_of
 from .evidence import Evidence, FitOnRecording, errors_ahead, errors_on, validated
 
 
@@ -259,11 +259,11 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
     return msgspec.structs.replace(stored, parameters=list(known.parameters.values()))
 
 
-def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
+def stored_beta(stored: FitFile, base: BaseParameters, place: str, sha256: str = "") -> Array:
     """Return the values (b,) of a stored fit in the order of `base`.
 
-    They are zero if left out. A fit of another robot is refused. Per-recording parameters are
-    averaged.
+    They are zero if left out. A fit of another robot is refused. Per-recording parameters are those
+    of the recording with the digest `sha256`; they are averaged if the fit does not have it.
     """
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
@@ -283,6 +283,18 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
             units.get(name, unit),
             f"{unit}, as the recording's robot has it",
         )
+    # Recordings of one name are numbered in the order of their digests.
+    of_recording = {
+        f"{Path(one.recording).stem}{number}"
+        for k, one in enumerate(sorted(stored.recordings or (), key=lambda one: one.sha256), 1)
+        if one.sha256 == sha256
+        for number in ("", f"#{k}")
+    }
+    values |= {
+        base_name(p.name): [p.value]
+        for p in stored.parameters
+        if recording_of(p.name) in of_recording
+    }
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
@@ -340,7 +352,10 @@ def validate_all(
     """
     check_one_robot([signals for signals, _ in recordings])
     problems = with_common_band([make_problem(*one) for one in recordings])
-    betas = (stored_beta(stored, one.base, place) + payload_beta(stored, one) for one in problems)
+    betas = (
+        stored_beta(stored, one.base, place, one.signals.sha256) + payload_beta(stored, one)
+        for one in problems
+    )
     each = tuple(
         replace(validated(one, beta), ahead=errors_ahead(one.for_errors, beta) if ahead else None)
         for one, beta in zip(problems, betas, strict=True)
