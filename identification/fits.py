@@ -355,7 +355,7 @@ class Fit:
             self._made().recordings
             if log is None
             else results.predict_recordings(
-                self.file, self.place, [(load_signals(log), Path(log))], Overrides()
+                self.file, self.place, [(load_signals(log), Path(log))], Overrides(), ahead=False
             )[0]
         )
 

@@ -13,7 +13,10 @@ from ..regression import FilteredMotion, Settings
 from ..report import Number
 from ..results import FitOnRecording
 from .panels import (
+    COMPARED_FITS,
+    GREY,
     JOINTS,
+    LIGHT,
     MEASURED,
     PREDICTED,
     REFERENCE,
@@ -247,6 +250,47 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
             )
         )
     return torques, residuals if (tau != tau_predicted).any() else []
+
+
+def compared_plots(
+    fits: Sequence[FitOnRecording], labels: Sequence[str]
+) -> tuple[list[Plot], list[Plot]]:
+    """Plot per joint the torques of two fits on one timeline; the second list has their residuals.
+
+    Measured torque of one recording is drawn once. Lines are narrower than those behind them.
+    """
+    torques, residuals, same = (
+        list[Plot](),
+        list[Plot](),
+        len({one.signals.sha256 for one in fits}) < 2,
+    )
+    for plots in zip(*(row_plots(one)[0] for one in fits), strict=False):
+        measured, models, rests = (
+            tuple(
+                replace(curve, key=f"{curve.key} {label}", name=label, color=color, width=width)
+                for curve, label, color, width in zip(
+                    of_fits, labels, COMPARED_FITS, (3.0, 1.5), strict=True
+                )
+            )
+            for of_fits in zip(*(plot.curves for plot in plots), strict=True)
+        )
+        pale = [
+            replace(
+                curve,
+                color=color,
+                name="measured" if same else f"measured, {curve.name}",
+                width=width,
+            )
+            for curve, color, width in zip(measured, (GREY, LIGHT), (5.0, 4.0), strict=True)
+        ]
+        first = replace(plots[0], legend=not torques)
+        torques.append(
+            replace(first, path=("torque", first.path[1]), curves=(*pale[: 2 - same], *models))
+        )
+        residuals.append(
+            replace(first, title=first.title.replace("torque", "residual", 1), curves=rests)
+        )
+    return torques, residuals
 
 
 def column_plots(signals: Signals) -> list[Plot]:

@@ -12,7 +12,7 @@ from ..data import Signals
 from ..design import Excitation
 from ..errors import RobotIdimError
 from ..regression import Overrides, Settings, make_settings, with_bandwidth
-from ..report import Document, FitFile, ParameterSet, Section, comparison_section
+from ..report import Document, FitFile, ParameterSet, Section, comparison_section, differences
 from ..results import FitOnRecording
 from ..study import Run, VariedFit
 from . import charts, curves
@@ -30,17 +30,20 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
 
     Entities are `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for
     `dq` and `ddq`; `error/<joint>/reference`, `simulated`: these positions minus the measured one,
-    in the unit of the plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`,
-    `robot`, `column/<quantity>`, `events`, `health`, `report`.
+    in the unit of the plot's title; `torque/<joint>/measured`, `model`, `residual`;
+    `residual/<joint>`, `deviations`, `tests`, `robot`, `column/<quantity>`, `events`, `health`,
+    `report`.
     """
     label = {"iv": "IV", "wls": "LS", "ols": "OLS"}.get(fit.method or "", "fit")
     own = ParameterSet.of_file(fit, label)
-    others = list[ParameterSet]()
-    if fit.least_squares:
-        least_squares = {p.name: p for p in fit.least_squares}
-        others.append(ParameterSet(label="LS", parameters=least_squares))
-    if truth is not None and one is not None:
-        others.append(results.true_parameters(one.problem.base, truth))
+    others = [
+        *(
+            [ParameterSet(label="LS", parameters={p.name: p for p in fit.least_squares})]
+            if fit.least_squares
+            else []
+        ),
+        *([] if truth is None or not one else [results.true_parameters(one.problem.base, truth)]),
+    ]
     document = results.fit_document(fit).followed_by(
         *(replace(comparison_section(own, other), short=Section()) for other in others)
     )
@@ -58,7 +61,9 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
     signals = one.signals
     torque, residual = curves.row_plots(one)
     friction = _friction_page({"": fit}, {"": [one]})
-    overview, *of_signals = _signal_pages(signals, one.problem.settings, one, residual)
+    overview, *of_signals = _signal_pages(
+        signals, one.problem.settings, one, torque if residual else []
+    )
     each = [error.relative_error_percent or 0.0 for error in one.errors[:-1]]
     j = each.index(max(each))
     return Picture(
@@ -137,16 +142,44 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
 
 
 def draw_comparison(
-    own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]
+    own: ParameterSet,
+    other: ParameterSet,
+    document: Document,
+    sha256: Mapping[str, str],
+    fits: Sequence[FitOnRecording] = (),
 ) -> Picture:
-    """Draw two sets of parameters that belong together, as `report.differences` requires."""
+    """Draw two sets of parameters that belong together, as `report.differences` requires.
+
+    Common parameters are in the order of their differences. With both `fits` on their recordings
+    the torques are beside them; entities are `torque/<joint>/measured <label>`, `model <label>`,
+    `residual/<joint>/residual <label>`.
+    """
+    both = {
+        row.name: (row.a, row.b)
+        for row in sorted(differences(own, other), key=lambda row: -abs(row.off_sigma or 0.0))
+        if row.a and row.b
+    }
+    first, second = (
+        replace(x, parameters={name: pair[k] for name, pair in both.items()})
+        for k, x in enumerate((own, other))
+    )
+    deviations = charts.deviation_charts(first, [second])
+    torques = curves.compared_plots(fits, (own.label, other.label))
     return Picture(
         name=f"{own.label} and {other.label}",
+        first=deviations[0],
         document=document,
         pages=(
-            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])}),
+            Page(
+                name="comparison",
+                groups={
+                    **dict(zip(("torque", "residual"), torques, strict=True)),
+                    "parameters": deviations[:1],
+                },
+            ),
+            Page(name="parameters", groups={"parameters": deviations[1:]}),
         ),
-        sha256=sha256,
+        sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in fits}},
     )
 
 
@@ -186,11 +219,11 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
             Page(
                 name="excitation",
                 groups={
-                    "robot": [excitation_scene(excitation)],
-                    "intervals": charts.interval_charts(excitation),
                     **curves.excitation_plots(excitation),
+                    "robot": [excitation_scene(excitation)],
                 },
             ),
+            Page(name="intervals", groups={"intervals": charts.interval_charts(excitation)}),
         ),
         sha256={},
     )
@@ -213,22 +246,24 @@ def _signal_pages(
     signals: Signals,
     settings: Settings | None,
     fit: FitOnRecording | None,
-    residuals: Sequence[Plot],
+    torques: Sequence[Plot],
 ) -> list[Page]:
-    """Return the views of a recording with or without a fit and its residuals.
+    """Return the views of a recording with or without a fit and the torques of its rows.
 
     The views are overview, signal quality, and motion.
     """
     lines = curves.lines_of(signals, settings, fit)
-    torque = [curves.plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
-    for j, residual in enumerate(residuals):
-        torque[j] = replace(torque[j], curves=(*torque[j].curves, *residual.curves))
+    torque = [
+        replace(plot, curves=(*plot.curves, *(torques[j].curves[1:] if torques else ())))
+        for j in range(signals.robot.n)
+        for plot in [curves.plot(signals, lines, "torque", j)]
+    ]
     return [
         Page(
             name="overview" if fit else "recording",
             groups={
-                "position": curves.position_plots(signals, lines),
                 "torque": torque,
+                "position": curves.position_plots(signals, lines),
                 "robot": [robot_scene(signals, fit)],
             },
         ),

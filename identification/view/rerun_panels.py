@@ -8,7 +8,6 @@ import re
 import tempfile
 import unicodedata
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,15 @@ from acquisition.files import atomic_write
 
 from ..arrays import Array
 from ..report import to_markdown
-from .panels import SKY, Log, Page, Panel, Picture, Plot, Scene
+from .panels import GREY, LIGHT, SKY, Color, Log, Page, Panel, Picture, Plot, Rows, Scene
 
-_GHOST = (*SKY, 70)
-_SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # signs in use here that the viewer's font has
-ROBOT, MAX_COLUMNS = "robot", 3  # the group beside the others; plots side by side
+_GHOST, GRID = (*SKY, 70), (80, 80, 80)
+# What the viewer's font lacks.
+_NO_GLYPH = re.compile(r"[^\n\t -~¡-ÿΑ-ΡΣ-ω–—‘’“”…−√±×²³µ≤≥●○]")
+ROBOT, PARAMETERS = "robot", "parameters"  # groups beside others
+MAX_COLUMNS = 3  # plots side by side
+MAX_TICKS = 36.0  # of a plot as high as a screen: the viewer hides the texts of closer ones
+NAMES, WIDTH, PITCH = 110.0, 560.0, 18.0  # of rows of values: widths of names and all, height
 
 
 def write_rrd(path: Path, picture: Picture) -> None:
@@ -48,18 +51,12 @@ def write_rrd(path: Path, picture: Picture) -> None:
         recording.log(
             "report", rr.TextDocument(shown_text(report), media_type="text/markdown"), static=True
         )
-        text, tabs = [rrb.TextDocumentView(origin="report", name="report")], []
-        for page in picture.pages:
-            views = {
-                key: [view for panel in group if (view := _show(recording, panel))]
-                for key, group in page.groups.items()
-            }
-            if any(views.values()):
-                tabs.append(_arrange(page, views, text))
-                text = []  # stands beside the first page
+        pages = [view for page in picture.pages if (view := _show_page(recording, page))]
         recording.send_blueprint(
             rrb.Blueprint(
-                rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else rrb.Vertical(*tabs, *text),
+                rrb.Tabs(
+                    *pages, rrb.TextDocumentView(origin="report", name="report"), active_tab=0
+                ),
                 rrb.TimePanel(
                     state="collapsed", timeline="time", loop_mode="all", play_state="Paused"
                 ),
@@ -75,28 +72,36 @@ def write_rrd(path: Path, picture: Picture) -> None:
         file.write_bytes(content)
 
 
-def _arrange(page: Page, views: Mapping[str, Sequence[Any]], text: Sequence[Any]) -> Any:
-    """Arrange a view.
+def _show_page(recording: Any, page: Page) -> Any:
+    """Show groups in tabs, or below each other; return None if Rerun shows none of them.
 
-    Its groups are below each other or in tabs; beside them are the robot and the report.
+    The robot is beside the groups after the first, parameters beside all others.
     """
-    main = {key: group for key, group in views.items() if group and key != ROBOT}
-    columns = 1 if page.tabs else MAX_COLUMNS
+    columns = 1 if page.tabs else max(MAX_COLUMNS, -(-max(map(len, page.groups.values())) // 2))
+    rows = [-(-len(group) // columns) for key, group in page.groups.items() if key != ROBOT]
+    ticks = MAX_TICKS / max((max if page.tabs else sum)(rows), 1)
+    views = {
+        key: seen
+        for key, group in page.groups.items()
+        if (seen := [view for x in group if (view := _show(recording, x, ticks)) is not None])
+    }
+    robot, name = views.pop(ROBOT, []), shown_text(page.name)
+    beside = views.pop(PARAMETERS, []) if len(views) > 1 else []
+    shares = [-(-len(group) // columns) for group in views.values()]
     grids = [
         rrb.Grid(*x, grid_columns=min(len(x), columns), name=shown_text(key))
-        for key, x in main.items()
+        for key, x in views.items()
     ]
-    parts = [
-        rrb.Tabs(*grids)
-        if page.tabs
-        else rrb.Vertical(*grids, row_shares=[-(-len(group) // columns) for group in main.values()])
-    ]
-    side = [*views.get(ROBOT, ()), *text]
-    parts += [rrb.Vertical(*side, row_shares=[2, 3][-len(side) :])] if side else []
-    return rrb.Horizontal(*parts, column_shares=[5, 2][: len(parts)], name=shown_text(page.name))
+    if page.tabs:
+        return rrb.Tabs(*grids, name=name)
+    if robot:
+        below = [rrb.Vertical(*grids[1:], row_shares=shares[1:]), *robot]
+        grids, shares = [grids[0], rrb.Horizontal(*below, column_shares=[5, 3])], [1, 1]
+    whole = rrb.Vertical(*grids, row_shares=shares, name=name) if grids else None
+    return rrb.Horizontal(whole, *beside, column_shares=[3, 2], name=name) if beside else whole
 
 
-def _show(recording: Any, panel: Panel) -> Any:
+def _show(recording: Any, panel: Panel, ticks: float) -> Any:
     """Write a panel's data as entities under its path; return their view, None for a chart."""
     origin, title = rr.new_entity_path(list(panel.path)), shown_text(panel.title)
     match panel:
@@ -120,6 +125,7 @@ def _show(recording: Any, panel: Panel) -> Any:
                 origin=origin,
                 name=title,
                 axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+                axis_y=_with_ticks(np.concatenate([c.line[1] for c in panel.curves]), ticks),
                 plot_legend=rrb.PlotLegend(visible=panel.legend),
             )
         case Log():
@@ -134,6 +140,87 @@ def _show(recording: Any, panel: Panel) -> Any:
             return event_view(origin, title)
         case Scene():
             return _show_robot(recording, origin, panel)
+        case Rows():
+            return _show_rows(recording, origin, panel)
+
+
+def _with_ticks(x: Array, most: float) -> Any:
+    """Return an axis of values with two to `most` ticks; None if that of the viewer has them.
+
+    The viewer's ticks are powers of ten apart, so that its own range may have a single one.
+    """
+    low, high = np.nanmin(x, initial=np.inf), np.nanmax(x, initial=-np.inf)
+    if not low < high:
+        return None
+    step = 10.0 ** np.ceil(np.log10((high - low) / most))
+    ranges = [
+        (min(low, tick), max(high, tick + step))
+        for tick in step * np.arange(np.floor(low / step), np.ceil(high / step))
+    ]
+    first, last = min(ranges, key=lambda ends: float(np.ptp(ends)))
+    margin = 0.04 * (last - first)
+    return (
+        None
+        if (first, last) == (low, high)
+        else rrb.ScalarAxis(range=(first - margin, last + margin))
+    )
+
+
+def _show_rows(recording: Any, origin: str, rows: Rows) -> Any:
+    """Show values by row with their intervals, below the legend and the texts of the ticks."""
+    bottom, step = PITCH * len(rows.names), (WIDTH - NAMES) / len(rows.columns)
+    lines, points = list[tuple[Any, Color]](), list[tuple[float, float, Color]]()
+    # The viewer writes below a point.
+    texts = [(0.5 * NAMES, PITCH * k, *named) for k, named in enumerate(rows.names)]
+    texts += [
+        (WIDTH * (k + 0.5) / len(rows.legend), -4 * PITCH, *of) for k, of in enumerate(rows.legend)
+    ]
+    for k, column in enumerate(rows.columns):
+        axis, ends = column.axis, (NAMES + step * k + 16, NAMES + step * (k + 1) - 16)
+        ticks = axis.place([*axis.ticks], *ends).tolist()
+        texts += [(sum(ends) / 2, -2.6 * PITCH, column.head, LIGHT)]
+        texts += [
+            (x, -1.3 * PITCH, text, GREY)
+            for x, text in zip(ticks, axis.ticks.values(), strict=True)
+        ]
+        lines += [([(x, 0), (x, bottom)], GRID) for x in (*ticks, *axis.place(column.lines, *ends))]
+        for mark in column.marks:
+            y, start = PITCH * (mark.row + 0.5), mark.value - mark.half
+            seen = [max(axis.low, 0.0) if mark.shape == "bar" else start, mark.value + mark.half]
+            low, x, high = axis.place([seen[0], mark.value, seen[1]], *ends).tolist()
+            up = 7.0 * (mark.shape == "tick")
+            lines += [([(low, y), (high, y)], mark.color), ([(x, y - up), (x, y + up)], mark.color)]
+            points += [(x, y, mark.color)] * (mark.shape not in ("bar", "tick"))
+    for key, shown in (
+        (
+            "lines",
+            rr.LineStrips2D(
+                [x for x, _ in lines],
+                colors=[color for _, color in lines],
+                radii=[-0.5 if color == GRID else -1.5 for _, color in lines],  # in pixels
+            ),
+        ),
+        (
+            "points",
+            rr.Points2D([x[:2] for x in points], colors=[x[2] for x in points], radii=-4.0),
+        ),
+        (
+            "texts",
+            rr.Points2D(
+                [x[:2] for x in texts],
+                labels=[shown_text(x[2]) for x in texts],
+                colors=[x[3] for x in texts],
+                radii=0.0,
+                show_labels=True,
+            ),
+        ),
+    ):
+        recording.log(f"{origin}/{key}", shown, static=True)
+    return rrb.Spatial2DView(
+        origin=origin,
+        name=shown_text(rows.title),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, WIDTH), y_range=(-4.5 * PITCH, bottom)),
+    )
 
 
 def event_view(origin: str, title: str) -> Any:
@@ -156,22 +243,14 @@ def shown_text(text: str) -> str:
 
     Outside of its font the viewer stops with an error.
     """
-    return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
-
-
-def _has_glyph(c: str) -> bool:
-    return (
-        c in "\n\t"
-        or " " <= c <= "~"
-        or "¡" <= c <= "ÿ"
-        or ("Α" <= c <= "ω" and c.isalpha())
-        or c in _SIGNS
+    return _NO_GLYPH.sub(
+        lambda found: (
+            "'"
+            if found[0] == "ᵀ"
+            else _NO_GLYPH.sub("", unicodedata.normalize("NFKD", found[0])) or "?"
+        ),
+        text,
     )
-
-
-def _replace_glyph(c: str) -> str:
-    similar = "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
-    return "'" if c == "ᵀ" else similar or "?"
 
 
 def _time(t_s: Array) -> Any:

@@ -24,7 +24,10 @@ from .panels import Moving, Scene
 
 POSES_PER_S = 50.0  # close to the frame rate of a screen
 MAX_POSES = 15_000  # five minutes; a longer recording has fewer poses per second
-MIN_VIEW_M = 0.7  # approximate size of the picture, since a single joint moves close to its base
+MARGIN_M = 0.1  # that shapes extend beyond the origins of their joints
+HALF_VIEW = np.array([0.6, 0.5])  # half the picture over its distance; the camera has 55° upright
+# To the right, upwards, and to the eye, in directions that are level, level and up.
+CAMERA = np.array([[-3, 3, 0], [-1, -1, 4], [8**0.5, 8**0.5, 2**0.5]]) / 18**0.5
 
 
 def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
@@ -59,16 +62,17 @@ def excitation_scene(excitation: Excitation) -> Scene:
 
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
-    """Return robots in a view centred on the motion q (N, n)."""
+    """Return robots in a view that the motion q (N, n) just fits into."""
     against = -dynamics.robot.gravity
     up = against / np.linalg.norm(against) if against.any() else np.array([0.0, 0.0, 1.0])
     places, _ = dynamics.placements(q[:: max(1, len(q) // 100)])
     points = np.concatenate([np.zeros((1, 3)), places.reshape(-1, 3)])
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    # Larger than the joints' origins: the shapes extend beyond the last joint.
-    size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), MIN_VIEW_M)
     side = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
+    axes = CAMERA @ np.array([side, np.cross(up, side), up])
+    seen = (points - target) @ axes.T
+    needed = (np.abs(seen[:, :2]) + MARGIN_M) / HALF_VIEW + seen[:, 2:]
     return Scene(
         path=("robot",),
         title=title,
@@ -77,7 +81,7 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
         joints=tuple(joint.name for joint in dynamics.robot.joints),
         up=up,
         floor=float((points @ up).min()),
-        eye=target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up),
+        eye=target + needed.max() * axes[2],
         target=target,
     )
 

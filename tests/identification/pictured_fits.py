@@ -140,6 +140,8 @@ class Written:
                 for p, c in self.moving.items()
                 if f"{p}/".startswith(f"{origin}/")
             )
+        if kind == "2D":
+            return all(f"{origin}/{key}" in below for key in ("lines", "points", "texts"))
         if kind == "3D":
             solids = [
                 columns
