@@ -46,7 +46,6 @@ PROGRAM = Program(
             for name in names
         },
         "--cluster": "use --workers tcp://HOST:8786",
-        "compare --rrd": "use --report FILE.html, which has the charts",
         "demo --noise": "use simulate --effort-noise-percent",
         "friction --rrd": "use --report FILE.html, which has the charts",
         **dict.fromkeys(

@@ -9,6 +9,7 @@ COMMANDS = {  # what stands before --rrd FILE
     "fit": [SESSION],
     "view": [SESSION],
     "view --follow": [SESSION],
+    "compare": [REPLAY / "tx40" / "fit.json"] * 2,
     "excite": [ROBOT, "--period", "3", "--harmonics", "3", "--periods", "2", "-o", "ref.csv"],
 }
 
