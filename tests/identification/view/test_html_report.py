@@ -122,7 +122,9 @@ def test_rerun_has_time_series_html_the_rest(tmp_path):
     views = {origin.replace("\\", "") for origin in Written(tmp_path / "fit.rrd").views}
     panels = [panel for page in drawn.pages for group in page.groups.values() for panel in group]
     assert views == {"/report"} | {
-        "/" + "/".join(panel.path) for panel in panels if not isinstance(panel, Graph) or isinstance(panel, Plot)
+        "/" + "/".join(panel.path)
+        for panel in panels
+        if not isinstance(panel, Graph) or isinstance(panel, Plot)
     }
     captions = page_of(drawn, tmp_path).all("figure")
     first = {c for panel in drawn.front.groups["torque"] for c in panel.curves}
