@@ -159,7 +159,8 @@ def test_recordings_named(days, beside, capsys, tmp_path):
     _, curves, out = compared(capsys, tmp_path, *days)
     assert not any(key.startswith("torque") for key in curves)
     assert "Add --log LOG.mcap" in " ".join(out.split())
-    shutil.copy(SCARA, mon)  # of this name, and not what was fitted
+    for path in (mon, tue):
+        shutil.copy(SCARA, path)  # of this name, and not what was fitted
     _, curves, _ = compared(capsys, tmp_path, *days)
     assert not any(key.startswith("torque") for key in curves)
     _, curves, out = compared(capsys, tmp_path, *days, "--log", SCARA)
