@@ -1,4 +1,4 @@
-"""Charts of parameters, tests, excitations, studies: those of the HTML report alone."""
+"""Charts of parameters, tests, excitations, studies."""
 
 import re
 from collections.abc import Sequence

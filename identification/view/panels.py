@@ -163,7 +163,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows(_Panel):
-    """A row of values for each name; `legend` explains shapes and colors. Only HTML shows it."""
+    """A row of values for each name; `legend` explains shapes and colors."""
 
     names: Sequence[tuple[str, Color]]
     columns: Sequence[Column]
