@@ -14,7 +14,6 @@ from ..report import Number
 from ..results import FitOnRecording
 from .panels import (
     COMPARED_FITS,
-    GREY,
     JOINTS,
     LIGHT,
     MEASURED,
@@ -259,37 +258,51 @@ def compared_plots(
 
     Measured torque of one recording is drawn once. Lines are narrower than those behind them.
     """
-    torques, residuals, same = (
-        list[Plot](),
-        list[Plot](),
-        len({one.signals.sha256 for one in fits}) < 2,
-    )
-    for plots in zip(*(row_plots(one)[0] for one in fits), strict=False):
+    torques, residuals, same = list[Plot](), list[Plot](), len({x.signals.sha256 for x in fits}) < 2
+    for j, (joint, *_) in enumerate(zip(*(x.signals.robot.joints for x in fits), strict=False)):
         measured, models, rests = (
             tuple(
-                replace(curve, key=f"{curve.key} {label}", name=label, color=color, width=width)
-                for curve, label, color, width in zip(
-                    of_fits, labels, COMPARED_FITS, (3.0, 1.5), strict=True
+                Curve(
+                    key=f"{key} {label}",
+                    name=name.format(label),
+                    color=color,
+                    line=(one.t_s, x[:, j]),
+                    width=width,
+                )
+                for one, x, label, color, width in zip(
+                    fits, values, labels, colors, widths, strict=True
                 )
             )
-            for of_fits in zip(*(plot.curves for plot in plots), strict=True)
-        )
-        pale = [
-            replace(
-                curve,
-                color=color,
-                name="measured" if same else f"measured, {curve.name}",
-                width=width,
+            for key, values, name, colors, widths in (
+                (
+                    "measured",
+                    [one.tau for one in fits],
+                    "measured" if same else "measured, {}",
+                    (MEASURED, LIGHT),
+                    (5.0, 2.5),
+                ),
+                ("model", [one.tau_predicted for one in fits], "{}", COMPARED_FITS, (3.0, 1.5)),
+                (
+                    "residual",
+                    [one.tau - one.tau_predicted for one in fits],
+                    "{}",
+                    COMPARED_FITS,
+                    (3.0, 1.5),
+                ),
             )
-            for curve, color, width in zip(measured, (GREY, LIGHT), (5.0, 4.0), strict=True)
-        ]
-        first = replace(plots[0], legend=not torques)
-        torques.append(
-            replace(first, path=("torque", first.path[1]), curves=(*pale[: 2 - same], *models))
         )
-        residuals.append(
-            replace(first, title=first.title.replace("torque", "residual", 1), curves=rests)
-        )
+        for plots, kind, shown in (
+            (torques, "torque", (*measured[: 2 - same], *models)),
+            (residuals, "residual", rests),
+        ):
+            plots.append(
+                Plot(
+                    path=(kind, joint.name),
+                    title=f"{kind} {joint.name} [{fits[0].signals.robot.effort_units[j]}]",
+                    curves=shown,
+                    legend=j == 0,
+                )
+            )
     return torques, residuals
 
 

@@ -167,14 +167,13 @@ def draw_comparison(
     torques = curves.compared_plots(fits, (own.label, other.label))
     return Picture(
         name=f"{own.label} and {other.label}",
-        first=deviations[0],
         document=document,
         pages=(
             Page(
                 name="comparison",
                 groups={
-                    **dict(zip(("torque", "residual"), torques, strict=True)),
                     "parameters": deviations[:1],
+                    **dict(zip(("torque", "residual"), torques, strict=True)),
                 },
             ),
             Page(name="parameters", groups={"parameters": deviations[1:]}),

@@ -250,12 +250,11 @@ def test_largest_difference_first_and_significant_marked(days):
         b = other.parameters[name]
         # A half-width is 1.96 standard errors here, in more rows than parameters.
         off[name] = abs(a.value - b.value) / np.hypot(a.half, b.half) * 1.96
-    drawn = draw_comparison(own, other, comparison_section(own, other), {})
-    assert [name for name, _ in drawn.first.names] == sorted(off, key=off.get, reverse=True)
+    (page, _) = draw_comparison(own, other, comparison_section(own, other), {}).pages
+    (chart,) = page.groups["parameters"]
+    assert [name for name, _ in chart.names] == sorted(off, key=off.get, reverse=True)
     marked = {
-        drawn.first.names[int(mark.row)][0]
-        for mark in drawn.first.columns[1].marks
-        if mark.color == VERMILLION
+        chart.names[int(mark.row)][0] for mark in chart.columns[1].marks if mark.color == VERMILLION
     }
     assert marked == {name for name, x in off.items() if x > 3.0}
     assert 0 < len(marked) < len(off)

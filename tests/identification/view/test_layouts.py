@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from blueprints import opening_screen
 from conftest import REPLAY
-from fits_of_records import iv_of, picture_of, signals_of
+from fits_of_records import ls_of, picture_of, signals_of
 from pictured_fits import Written, made_up
 from random_arms import random_arm
 from rerun.chunk import RrdReader
@@ -37,7 +37,7 @@ ARMS = {"scara": SCARA, "tx40": TX40, "emps": REPLAY / "emps" / "session.mcap"}
 @pytest.mark.parametrize("fitted", [True, False], ids=["fit", "recording"])
 def test_torque_takes_upper_half(fitted, log, tmp_path):
     signals = signals_of(log)
-    drawn = picture_of(iv_of(log)) if fitted else draw_recording(signals, Overrides())
+    drawn = picture_of(ls_of(log)) if fitted else draw_recording(signals, Overrides())
     write_rrd(tmp_path / "a.rrd", drawn)
     seen, joints = opening_screen(tmp_path / "a.rrd"), [j.name for j in signals.robot.joints]
     assert set(seen) == {"/robot"} | {f"/{x}/{j}" for x in ("torque", "error") for j in joints}
@@ -85,7 +85,9 @@ def test_two_ticks_in_every_plot(low, high, tmp_path):
     found = components(shown(tmp_path, *plots, groups=2), "ScalarAxis:range")
     assert len(found) in (0, 12)
     first, last = next(iter(found.values()), (low, high))
-    step = 10.0 ** np.ceil(np.log10((high - low) / 9))  # of four rows each has a quarter of 36 ticks
+    step = 10.0 ** np.ceil(
+        np.log10((high - low) / 9)
+    )  # of four rows each has a quarter of 36 ticks
     ticks = np.floor(last / step) - np.ceil(first / step) + 1
     assert 2 <= ticks <= 11
     assert first <= low < high <= last
