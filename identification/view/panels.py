@@ -28,7 +28,7 @@ MEASURED, PREDICTED = (141, 141, 141), (230, 160, 0)
 REFERENCE, SIMULATED, RESIDUAL = GREEN, SKY, VERMILLION
 JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
 COMPARED = (PURPLE, GREEN)  # the parameter sets that a fit is compared with
-COMPARED_FITS = (PREDICTED, PURPLE)  # two fits, as their parameters
+COMPARED_FITS = (ORANGE, PURPLE)  # two fits, as their parameters
 CLASSES: dict[Color, str] = {  # of the style sheet, which has a shade of each for light and dark
     ORANGE: "orange", SKY: "sky", GREEN: "green", YELLOW: "yellow", BLUE: "blue",
     VERMILLION: "vermillion",

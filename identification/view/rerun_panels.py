@@ -25,7 +25,7 @@ from .panels import GREY, LIGHT, SKY, Color, Log, Page, Panel, Picture, Plot, Ro
 _GHOST, GRID = (*SKY, 70), (80, 80, 80)
 # What the viewer's font lacks.
 _NO_GLYPH = re.compile(r"[^\n\t -~¡-ÿΑ-ΡΣ-ω–—‘’“”…−√±×²³µ≤≥●○]")
-ROBOT, PARAMETERS = "robot", "parameters"  # groups beside others
+ASIDE = ROBOT, PARAMETERS = "robot", "parameters"  # groups beside others
 MAX_COLUMNS = 3  # plots side by side
 MAX_TICKS = 36.0  # of a plot as high as a screen: the viewer hides the texts of closer ones
 NAMES, WIDTH, PITCH = 110.0, 560.0, 18.0  # of rows of values: widths of names and all, height
@@ -78,7 +78,7 @@ def _show_page(recording: Any, page: Page) -> Any:
     The robot is beside the groups after the first, parameters beside all others.
     """
     columns = 1 if page.tabs else max(MAX_COLUMNS, -(-max(map(len, page.groups.values())) // 2))
-    rows = [-(-len(group) // columns) for key, group in page.groups.items() if key != ROBOT]
+    rows = [-(-len(x) // columns) for key, x in page.groups.items() if key not in ASIDE]
     ticks = MAX_TICKS / max((max if page.tabs else sum)(rows), 1)
     views = {
         key: seen
@@ -98,7 +98,11 @@ def _show_page(recording: Any, page: Page) -> Any:
         below = [rrb.Vertical(*grids[1:], row_shares=shares[1:]), *robot]
         grids, shares = [grids[0], rrb.Horizontal(*below, column_shares=[5, 3])], [1, 1]
     whole = rrb.Vertical(*grids, row_shares=shares, name=name) if grids else None
-    return rrb.Horizontal(whole, *beside, column_shares=[3, 2], name=name) if beside else whole
+    return (
+        rrb.Horizontal(whole, rrb.Vertical(*beside), column_shares=[3, 2], name=name)
+        if beside
+        else whole
+    )
 
 
 def _show(recording: Any, panel: Panel, ticks: float) -> Any:
