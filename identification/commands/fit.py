@@ -73,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.prior is not None and not options.consistent:
         shared.COMMAND_LINE.refuse("--prior", str(options.prior), text="requires --consistent")
-    if options.recordings[-1].suffix.lower() in (".urdf", ".xml", ".xacro", ".toml"):
+    robots = (".urdf", ".xml", ".xacro", ".toml")
+    if len(options.recordings) > 1 and options.recordings[-1].suffix.lower() in robots:
         options.recordings = [_recording_of_log(options)]
     pictures = _pictures(options)
     with Progress("reading") as progress:
