@@ -1,9 +1,35 @@
-"""Identification of the base dynamic parameters of a robot from a recording.
+"""Identify the base parameters of a robot from positions and torques, and judge the result.
 
-The subpackages, and the modules `fits` and `notebook`, lowest first. They use of each other
-only what an `__init__` exports, and imports only run down::
+    import identification
+    log = identification.simulate_recording("robot.toml", "log.mcap")  # or your own arrays
+    fit = identification.fit(log.q, log.effort, log.sample_rate_hz, "robot.toml", log.q_ref)
+    print(fit.verdict, fit["Fv1"], fit.parameters, sep="\\n")
+    fit.save("fit.json")
+    fit.export(mjcf="robot.xml")
 
-    report       documents, their renderers, the JSON file of a fit, comparisons
+A robot.toml or a URDF describes the robot. `fit.parameters`, `fit.trust`, `fit.assumed`,
+`fit.errors` and `fit.compare(other)` are tables with `to_dict()` and `to_dataframe()`. In a
+notebook, `fit` shows its report and `fit.plot()` its figures. `help(identification.fit)` lists all
+arguments, `help(identification.Fit)` all results. The main names:
+
+    fit                      fit arrays; the result is a `Fit`
+    load                     read a fit that `Fit.save` wrote
+    validate                 compute the torque errors of a fit on another recording
+    load_signals             read a recording: q, q_ref, effort, t_s, sample_rate_hz
+    identify_ls, identify_iv fit recordings by least squares, by instrumental variables
+    read_robot               read a robot.toml, or a URDF with the values that it lacks
+    simulate_recording       simulate a robot with known parameters
+    design_reference         design an exciting trajectory
+    select_friction          choose the friction terms of a recording
+    run_study                fit many simulated recordings
+
+Guides: identification/docs/start.md (a first fit), howto/python.md (this package), reading-a-fit.md
+(what the verdict means); replay_data/notebook.ipynb is a fit from URDF to MuJoCo.
+
+For developers, the subpackages and the modules `fits` and `notebook`, lowest first. They use of
+each other only what an `__init__` exports, and imports only run down::
+
+    report       documents, their renderers, tables, the JSON file of a fit, comparisons
     estimation   least squares, instrumental variables and their tests, on arrays
     data         a recording as signals on a uniform grid; where tasks run
     model        inverse and direct dynamics, friction and rotors, base parameters, physical
@@ -22,20 +48,7 @@ only what an `__init__` exports, and imports only run down::
     view         Rerun files and pages
     fits         a fit that was made or read, and what one does with it
     commands     the command line
-    notebook     the names below: fits of arrays and of recordings
-
-The main names are imported here on first use. A fit of arrays, its report and its
-model for a simulator:
-
->>> import identification
->>> log = identification.simulate_recording("robot.toml", "log.mcap")
->>> fit = identification.fit(log.q, log.effort, log.sample_rate_hz, "robot.toml", log.q_ref)
->>> fit.verdict
-'trust'
->>> [f"{p.value:.2f} {p.unit}" for p in fit.parameters if p.name == "ZZ2"]
-['0.06 kg m²']
->>> fit.write_report("report.html")
->>> limits_of_the_format = fit.export(mjcf="robot.xml")
+    notebook     the names above: fits of arrays and of recordings
 """
 
 from typing import TYPE_CHECKING
@@ -72,6 +85,7 @@ __all__ = [
     "fit_log",
     "identify_iv",
     "identify_ls",
+    "load",
     "load_signals",
     "read_fit",
     "read_robot",

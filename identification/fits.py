@@ -4,15 +4,14 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from msgspec import UnsetType
+from msgspec import UnsetType, structs
 from numpy.typing import ArrayLike
 
 from acquisition.errors import Location
 from acquisition.files import write_text
 
-from . import export, report, results
+from . import export, report, results, view
 from .arrays import Array
 from .data import Signals, load_signals
 from .model import BaseParameters, InverseModel, base_parameters
@@ -22,22 +21,10 @@ File = str | os.PathLike[str]
 Out = File | None
 
 
-class Parameters(tuple[report.Parameter, ...]):
-    """The parameters of a fit, in its order."""
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """Return the columns by name, for example for `pandas.DataFrame`.
-
-        `half_width` is half the width of the 95 % interval, in the unit of the value.
-        """
-        return {
-            "half_width" if name == "half" else name: [getattr(p, name) for p in self]
-            for name in ("name", "value", "half", "low", "high", "unit", "expression", "essential")
-        }
-
-
 class Fit:
     """A fit: base parameters of a robot, the results of the tests, and methods that use it.
+
+    `fit["Fv1"]` is a parameter, as in `parameters`. A notebook shows a fit as its short report.
 
     Attributes:
         file: content of the JSON file.
@@ -56,22 +43,11 @@ class Fit:
         """Return a `Fit` of a solution with its tests, as `results.identify` returns it."""
         return cls(results.fit_file(evidence), evidence.problem.signals.recording, evidence)
 
-    @classmethod
-    def read(cls, path: File) -> "Fit":
-        """Read a fit from a JSON file, as `identification.read_fit` does.
-
-        Parameters
-        ----------
-        path : file that `robot-identify fit --json` or `to_json` wrote.
-
-        Raises
-        ------
-        BadInputError : the file cannot be read, or is not a fit of this format.
-        """
-        return cls(report.read_fit(path), str(path))
-
     def __repr__(self) -> str:
         return f"Fit({self.file.summary})"
+
+    def __getitem__(self, name: str) -> report.Parameter:
+        return self.parameters[name]
 
     @property
     def verdict(self) -> report.Verdict | UnsetType:
@@ -82,14 +58,22 @@ class Fit:
         return self.file.verdict
 
     @property
-    def assumed(self) -> tuple[report.Assumed, ...]:
+    def assumed(self) -> report.Records[report.Assumed]:
         """Assumptions that no test confirms, each with `what`, `value` and `why`."""
-        return tuple(self.file.assumed or ())
+        return report.Records(
+            self.file.assumed or (),
+            "Assumptions that no test confirms",
+            {"what": "", "value": "", "why": ""},
+        )
 
     @property
-    def trust(self) -> tuple[report.TrustResult, ...]:
+    def trust(self) -> report.Records[report.TrustResult]:
         """Results of the tests, worst first, each with `test`, `level`, `value` and `text`."""
-        return tuple(self.file.trust or ())
+        return report.Records(
+            self.file.trust or (),
+            "Tests",
+            {"test": "", "level": "", "value": None, "expected": None, "text": "", "advice": ""},
+        )
 
     @property
     def status(self) -> str:
@@ -106,18 +90,36 @@ class Fit:
         return tuple(self.file.warnings)
 
     @property
-    def errors(self) -> tuple[report.TorqueResidual, ...]:
+    def errors(self) -> report.Records[report.TorqueResidual]:
         """Torque errors of each joint and, last, of all joints, percent of the torque."""
         return self.file.errors
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> report.Records[report.Parameter]:
         """Fitted parameters.
 
-        Each has a `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression` and
-        `essential`.
+        Each has a `name`, `meaning`, `value`, `unit`, 95 % interval `low` to `high`, its
+        `half_width`, `expression` and `essential`.
         """
-        return Parameters(self.file.parameters)
+        joints = [joint.name for joint in self.file.joints]
+        return report.Records(
+            (
+                structs.replace(p, meaning=report.meaning_of(p.name, joints))
+                for p in self.file.parameters
+            ),
+            "Parameters with 95 % intervals",
+            {
+                "name": "",
+                "meaning": "",
+                "value": "",
+                "half_width": "",
+                "low": None,
+                "high": None,
+                "unit": "",
+                "expression": None,
+                "essential": "",
+            },
+        )
 
     @property
     def base(self) -> BaseParameters:
@@ -181,7 +183,7 @@ class Fit:
         """
         return results.stored_torque(self.file, self.place, q, dq, ddq)
 
-    def compare(self, other: "Fit") -> tuple[report.Difference, ...]:
+    def compare(self, other: "Fit") -> report.Records[report.Difference]:
         """Compare the parameters with those of another fit; warn if the link frames differ.
 
         Parameters
@@ -200,11 +202,23 @@ class Fit:
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
-        return tuple(
+        return report.Records(
             report.differences(
                 report.ParameterSet.of_file(self.file, "this fit"),
                 report.ParameterSet.of_file(other.file, "the other"),
-            )
+            ),
+            "Differences of this fit (a) from the other (b)",
+            {
+                "name": "",
+                "unit": "",
+                "a.value": "",
+                "a.half_width": "",
+                "b.value": "",
+                "b.half_width": "",
+                "off": "",
+                "off_percent": "+.1f",
+                "off_sigma": "+.2f",
+            },
         )
 
     def validate(
@@ -258,18 +272,15 @@ class Fit:
         BadInputError : the verdict is `do not use`, the fit is in A or V, or no physically
             consistent parameters exist.
         """
-        paths: dict[str, Any] = {
-            kind: Path(path)
-            for kind, path in (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
-            if path is not None
-        }
         return report.to_markdown(
             export.export_fit(
                 self.file,
                 self.place,
                 untrusted=allow_untrusted,
                 drawn=(draws, seed),
-                **paths,
+                urdf=Path(urdf) if urdf else None,
+                mjcf=Path(mjcf) if mjcf else None,
+                toml=Path(toml) if toml else None,
             )
         )
 
@@ -295,15 +306,29 @@ class Fit:
     @property
     def document(self) -> report.Document:
         """Report of the fit; known parameters have none and raise `BadInputError`."""
-        Location(self.place).require(
-            self.file.provenance,
-            text="contains known parameters, but no fit of a recording",
-        )
         return results.fit_document(self.file)
 
-    def to_json(self, path: File) -> None:
-        """Write the JSON file of `robot-identify fit --json`, which `read_fit` reads."""
+    def save(self, path: File) -> None:
+        """Write the JSON file of `robot-identify fit --json`, which `load` reads."""
         report.write_json(Path(path), self.file)
+
+    to_json = save  # its earlier name
+
+    def plot(self, log: File | None = None) -> view.Figures:
+        """Draw the torque of each joint, and the 95 % intervals of the parameters.
+
+        The torque is the measured one, that of the model, and their difference, in the first
+        recording. A notebook shows the figures; `write_report` writes them, and more, as a page.
+
+        Parameters
+        ----------
+        log : recording for the torques; a fit that was read has no others.
+
+        Raises
+        ------
+        BadInputError : the fit has known parameters, or the recording is of another robot.
+        """
+        return view.notebook_figures(*self._picture(log).figures)
 
     def write_report(self, path: File, log: File | None = None) -> None:
         """Write the report: tables as .md, tables and plots as .html.
@@ -317,16 +342,14 @@ class Fit:
         ------
         BadInputError : the ending is neither .md nor .html, or the fit has no report.
         """
-        path, document = Path(path), self.document
+        path = Path(path)
+        Location(str(path)).require(
+            path.suffix in (".md", ".html"), "ending", path.suffix, ".md or .html"
+        )
         if path.suffix == ".md":
-            write_text(path, report.to_markdown(document))
-        elif path.suffix == ".html":
-            from .view import draw_fit, join_pictures, write_html
-
-            recordings = self._recordings(log) if log is not None or self.evidence else (None,)
-            write_html(path, join_pictures([draw_fit(self.file, one) for one in recordings]))
+            write_text(path, report.to_markdown(self.document))
         else:
-            Location(str(path)).refuse("ending", path.suffix, ".md or .html")
+            view.write_html(path, self._picture(log))
 
     def write_rrd(self, path: File, log: File | None = None) -> None:
         """Write trajectories and fit as a Rerun file, or one file per recording, numbered from 1.
@@ -340,14 +363,17 @@ class Fit:
         ------
         BadInputError : the fit was read from a file and `log` is missing.
         """
-        from .view import draw_fit, write_rrd
-
         path, recordings = Path(path), self._recordings(log)
         for number, one in enumerate(recordings, start=1):
-            write_rrd(
+            view.write_rrd(
                 path.with_stem(f"{path.stem}_{number}") if len(recordings) > 1 else path,
-                draw_fit(self.file, one),
+                view.draw_fit(self.file, one),
             )
+
+    def _picture(self, log: File | None = None) -> view.Picture:
+        """Draw the fit on its recordings, or on a `log`; without any, its tests and parameters."""
+        recordings = self._recordings(log) if log is not None or self.evidence else (None,)
+        return view.join_pictures([view.draw_fit(self.file, one) for one in recordings])
 
     def _recordings(self, log: File | None = None) -> Sequence[results.FitOnRecording]:
         """Return the recordings of the fit, or the fit on a `log`."""
@@ -368,42 +394,28 @@ class Fit:
         )
 
     def _repr_html_(self) -> str:
-        from .view import deviation_charts, draw_fit, notebook_figure
+        if not self.file.provenance:  # known parameters
+            return self.parameters._repr_html_()
+        picture = self._picture()
+        return report.to_html(
+            picture.document.short,
+            figures={"": view.notebook_figures(picture.first or picture.figures[0])},
+        )
 
-        if self.evidence is not None:
-            torque = draw_fit(self.file, self.evidence.recordings[0]).first
-            return report.to_html(
-                self.document.short, figures={"": notebook_figure(torque)} if torque else None
-            )
-        best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
-        document = report.Document(
-            title=f"{self.place}: {self.file.summary}",
-            badge=self.verdict or "",
-            figures=results.main_figures(self.file),
-            sections=(
-                report.Section(
-                    title=f"The {len(best)} parameters with the narrowest intervals",
-                    warnings=tuple(
-                        x.text for x in self.trust if x.level in ("do not use", "caution")
-                    ),
-                    table=report.Table(
-                        columns=report.columns(
-                            "name", "unit", numbers=("value", "95 % half-width")
-                        ),
-                        rows=tuple(
-                            (
-                                p.name,
-                                p.unit,
-                                report.Number(p.value, report.value_form(p.spread)),
-                                report.Number(p.half, ".2g"),
-                            )
-                            for p in best
-                        ),
-                    ),
-                ),
-            ),
-        )
-        (chart,) = deviation_charts(
-            report.ParameterSet(label=self.place, parameters={p.name: p for p in best}), ()
-        )
-        return report.to_html(document) + notebook_figure(chart)
+
+def load(path: File) -> Fit:
+    """Read a fit, or known values of parameters, from a JSON file.
+
+    Parameters
+    ----------
+    path : file that `Fit.save` or `robot-identify fit --json` wrote.
+
+    Returns
+    -------
+    The fit, without its rows and curves.
+
+    Raises
+    ------
+    BadInputError : the file cannot be read, or is not a fit of this format.
+    """
+    return Fit(report.read_fit(path), str(path))

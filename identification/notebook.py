@@ -29,7 +29,7 @@ from .data import (
 )
 from .design import Excitation, ExcitationSettings, select_friction
 from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
-from .fits import File, Fit
+from .fits import File, Fit, load
 from .methods import Iteration
 from .options import LogOptions
 from .regression import Overrides
@@ -63,21 +63,8 @@ identify_ls, identify_iv = _for_users(results.identify_ls), _for_users(results.i
 
 
 def read_fit(path: File) -> Fit:
-    """Read a fit, or known values of parameters, from a JSON file.
-
-    Parameters
-    ----------
-    path : file that `robot-identify fit --json` or `Fit.to_json` wrote.
-
-    Returns
-    -------
-    The fit, without its rows and curves.
-
-    Raises
-    ------
-    BadInputError : the file cannot be read, or is not a fit of this format.
-    """
-    return Fit.read(path)
+    """Read a fit: the earlier name of `load`."""
+    return load(path)
 
 
 def read_robot(

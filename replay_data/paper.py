@@ -30,7 +30,7 @@ emps = idim.load_signals(HERE / "emps" / "session.mcap")
 
 def mass(fit: idim.Fit) -> str:
     """The mass of the axis with the half-width of its 95 % interval."""
-    value, half = fit.parameters[0].value, fit.parameters[0].half
+    value, half = fit.parameters[0].value, fit.parameters[0].half_width
     return f"{value:8.3f} ± {half:6.3f} kg"
 
 
@@ -91,7 +91,7 @@ for start_kg, gain_update in ((1e-3, True), (1.0, True), (1e3, True), (1.0, Fals
 tx40 = idim.identify_iv(
     idim.load_signals(HERE / "tx40" / "session.mcap"), idim.Overrides(), idim.Iteration()
 )
-true = idim.read_fit(HERE / "tx40" / "truth.json")
+true = idim.load(HERE / "tx40" / "truth.json")
 inside = sum(p.low <= true.parameters[k].value <= p.high for k, p in enumerate(tx40.parameters))
 print(
     f"TX40: {len(tx40.beta)} parameters, {tx40.status} in {len(tx40.evidence.passes)} passes; "

@@ -105,9 +105,9 @@ def _fit(options: argparse.Namespace) -> None:
         advice="Add --log LOG.mcap",
     )
     with Progress("reading") as progress:
-        from ..fits import Fit
+        from ..fits import load
 
-        fit = Fit.read(path)
+        fit = load(path)
         progress.say("drawing")
         (fit.write_rrd if out.suffix == ".rrd" else fit.write_report)(out, options.log)
     how = "open the plots: rerun --bind 127.0.0.1" if out.suffix == ".rrd" else "open the report:"

@@ -21,6 +21,7 @@ from .document import (
     Section,
     Table,
     columns,
+    known,
     value_form,
     write_json,
 )
@@ -44,7 +45,6 @@ from .fit_file import (
     TrustResult,
     ValidationFile,
     Verdict,
-    known,
     read_fit,
     versions,
 )
@@ -74,4 +74,5 @@ from .parameters import (
     payload_parameter,
     recording_of,
 )
+from .records import Records
 from .renderers import print_whole, to_html, to_markdown

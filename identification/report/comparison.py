@@ -44,6 +44,11 @@ class Difference:
     off_percent: float | None = None
     off_sigma: float | None = None
 
+    @property
+    def spread(self) -> float:
+        """The smaller standard error of the two parameters; 0 if both are exact."""
+        return min((x.spread for x in (self.a, self.b) if x and x.spread > 0), default=0.0)
+
 
 def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """Return the differences by parameter: those of `a` first, then those that only `b` has.
@@ -192,8 +197,7 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
 
 
 def _cells(row: Difference) -> Row:
-    both = (row.a, row.b)
-    form = value_form(min((x.spread for x in both if x and x.spread > 0), default=0.0))
+    both, form = (row.a, row.b), value_form(row.spread)
     values = [number for x in both for number in ((x.value, x.half) if x else (None, None))]
     return (
         row.name,

@@ -5,13 +5,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from acquisition.files import write_text
 
 FORMAT = 1  # of all JSON files
+T = TypeVar("T")
 MAX_SHORT_ROWS = 20  # of a table that a terminal prints whole without `--all`
 
 
@@ -141,6 +142,11 @@ def value_form(sigma: float) -> str:
 def cell_text(cell: Cell) -> str:
     """Return the text of a cell."""
     return cell if isinstance(cell, str) else cell.text
+
+
+def known(value: T | msgspec.UnsetType | None) -> T | None:
+    """Return the value of a key; None if the file has none."""
+    return None if isinstance(value, msgspec.UnsetType) else value
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):

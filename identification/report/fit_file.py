@@ -7,7 +7,7 @@ import math
 import re
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -15,7 +15,7 @@ from msgspec import UNSET, UnsetType
 from acquisition.errors import BadInputError, Location
 from acquisition.files import NAMES, kind_of, read_bytes
 
-from .document import FORMAT, ResultFile
+from .document import FORMAT, Document, ResultFile, Section
 from .parameters import (
     AboveZero,
     ConsistentFile,
@@ -28,6 +28,7 @@ from .parameters import (
     PhysicalWarning,
     StandardParameter,
 )
+from .records import Records, Shown
 
 Method = Literal["ols", "wls", "iv"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
@@ -57,14 +58,6 @@ NEW_WORDS = {
 }
 _OLD_WORD = re.compile(rb'("(?:test|level|what)"\s*:\s*)"([^"]*)"')
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
-
-
-T = TypeVar("T")
-
-
-def known(value: T | UnsetType | None) -> T | None:
-    """Return the value of a key; None if the file has none."""
-    return None if isinstance(value, UnsetType) else value
 
 
 class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
@@ -259,13 +252,30 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     remarks: list[str] = msgspec.field(default_factory=list)  # recorder, payload
 
     @property
-    def errors(self) -> tuple[TorqueResidual, ...]:
+    def errors(self) -> Records[TorqueResidual]:
         """Torque errors of the joints and, last, of all together."""
-        return *self.joints, self.all_joints or TorqueResidual(
-            name="all",
-            relative_error_percent=self.moving_relative_error_percent,
-            moving_rows=sum(joint.moving_rows for joint in self.joints),
-            standing_rows=sum(joint.standing_rows for joint in self.joints),
+        return Records(
+            (
+                *self.joints,
+                self.all_joints
+                or TorqueResidual(
+                    name="all",
+                    relative_error_percent=self.moving_relative_error_percent,
+                    moving_rows=sum(joint.moving_rows for joint in self.joints),
+                    standing_rows=sum(joint.standing_rows for joint in self.joints),
+                ),
+            ),
+            "Torque errors",
+            {
+                "name": "",
+                "unit": "",
+                "relative_error_percent": ".4f",
+                "standing_relative_error_percent": ".4f",
+                "moving_rows": "d",
+                "standing_rows": "d",
+                "autocorrelation": ".2f",
+                "residual_rms": None,
+            },
         )
 
 
@@ -363,9 +373,10 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         They are about a status other than convergence, and about physically impossible values.
         """
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
-        texts = [f"its status is {self.status}"] * unsettled
-        texts += [doubt.text for doubt in self.doubts if doubt.severe]
-        return [f"{place}: {text}" for text in texts]
+        return [
+            *([f"{place}: its status is {self.status}"] * unsettled),
+            *(f"{place}: {doubt.text}" for doubt in self.doubts if doubt.severe),
+        ]
 
 
 class Ahead(msgspec.Struct, frozen=True, kw_only=True):
@@ -378,7 +389,7 @@ class Ahead(msgspec.Struct, frozen=True, kw_only=True):
     way: list[float]
 
 
-class ValidationFile(OnRecording, frozen=True, kw_only=True):
+class ValidationFile(Shown, OnRecording, frozen=True, kw_only=True):
     """The JSON file of `validate`.
 
     It has the errors of the file `fit`, and of its physically consistent set, all joints last. It
@@ -389,9 +400,10 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
     ahead: dict[str, Ahead] = msgspec.field(default_factory=dict)
     consistent_errors: list[TorqueResidual] | UnsetType = UNSET
 
-
-def _new_word(found: re.Match[bytes]) -> bytes:
-    return found[1] + f'"{NEW_WORDS.get(found[2].decode(), found[2].decode())}"'.encode()
+    @property
+    def document(self) -> Document:
+        """The torque errors as a report, with the warnings."""
+        return self.errors.document.followed_by(Section(warnings=tuple(self.warnings)))
 
 
 def read_fit(path: str | PathLike[str]) -> FitFile:
@@ -403,7 +415,13 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
     """
     content, place = read_bytes(Path(path)), Location(str(path))
     try:
-        stored = msgspec.json.decode(_OLD_WORD.sub(_new_word, content), type=FitFile)
+        stored = msgspec.json.decode(
+            _OLD_WORD.sub(
+                lambda x: x[1] + f'"{NEW_WORDS.get(x[2].decode(), x[2].decode())}"'.encode(),
+                content,
+            ),
+            type=FitFile,
+        )
     except msgspec.MsgspecError as error:
         other = kind_of(Path(path)).replace("json", "")
         text = (
@@ -411,11 +429,11 @@ def read_fit(path: str | PathLike[str]) -> FitFile:
             if other
             else f"not a fit: {error}".replace("JSON is malformed", "no JSON")
         )
-        log = path if other == "mcap" else "LOG.mcap"
         raise BadInputError(
             text,
             place=str(path),
-            expected=f"a fit as `robot-identify fit {log} --json FIT.json` writes it",
+            expected=f"a fit as `robot-identify fit {path if other == 'mcap' else 'LOG.mcap'} "
+            "--json FIT.json` writes it",
         ) from error
     place.require(
         stored.format == FORMAT, "format", stored.format, f"{FORMAT}, read by this version"

@@ -93,7 +93,8 @@ OF_LINKS = tuple(MEANINGS)[:10]
 def meaning_of(name: str, joints: Sequence[str]) -> str:
     """Return a parameter in words: `first moment x of link 2 (regrouped)`.
 
-    `joints` are the names of the joints, in order. A gain or an unknown name gives an empty text.
+    `joints` are the names of the joints, in order; a joint without a name has its number. A gain or
+    an unknown name gives an empty text.
     """
     found = re.match(r"([A-Za-z]+?)(R?)(\d*)(R?)(?:[:@](.*)|$)", name, re.DOTALL)
     kind, before, number, after, where = found.groups() if found else ("", "", "", "", None)
@@ -107,6 +108,8 @@ def meaning_of(name: str, joints: Sequence[str]) -> str:
         else f"motor {number}"
         if kind.endswith("m")
         else joints[int(number) - 1]
+        if int(number) <= len(joints)
+        else f"joint {number}"
     )
     ending = (f" in {where}" if where else "") + (" (regrouped)" if before or after else "")
     return f"{MEANINGS[kind]} of {place}{ending}"
@@ -131,13 +134,22 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     essential: bool = False
     prior: float | UnsetType = UNSET
     column_norm: float | UnsetType = UNSET  # of its weighted column: torque per unit
+    meaning: str | UnsetType = UNSET  # in words; a file does not have it
+
+    def __repr__(self) -> str:
+        return (
+            f"Parameter({self.name} = {self.value:.5g} ± {self.half_width:.2g} {self.unit}, "
+            f"{self.meaning or self.expression})"
+        )
 
     @property
-    def half(self) -> float:
+    def half_width(self) -> float:
         """Half the 95 % interval; without one, 1.96 times the larger standard error."""
         if self.low is None or self.high is None:
             return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
         return 0.5 * (self.high - self.low)
+
+    half = half_width  # its earlier name
 
     @property
     def half_percent(self) -> float:

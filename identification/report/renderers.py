@@ -9,6 +9,7 @@ import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
 from html import escape
+from io import StringIO
 
 from rich import box
 from rich.cells import cell_len
@@ -29,16 +30,17 @@ BADGES = {"trust": "#007a59", "caution": "#946200", "do not use": "#b0301c"}
 SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
-def print_whole(*items: Document | str, short: bool = False) -> None:
+def print_whole(*items: Document | str, short: bool = False, file: StringIO | None = None) -> None:
     """Print reports and lines without truncating cells or interpreting names as markup.
 
     A table too wide for the terminal is compacted, with headings over several lines; if it is still
     too wide, the terminal breaks its lines. Lines are broken between words; longer words stay
     whole. A pipe or file has the width that COLUMNS gives, by default `SHORT_WIDTH` in `short`, and
     whole lines otherwise. In `short`, the parts that a report hides without `--all` are left out,
-    and tables have no frames.
+    and tables have no frames. The default of `file` is the standard output.
     """
-    console = Console(markup=False, emoji=False)
+    # In a notebook rich would otherwise show its own output in place of writing to the file.
+    console = Console(file=file, force_jupyter=False, markup=False, emoji=False)
     if not console.is_terminal:
         # COLUMNS, if it is a positive number
         console.width = shutil.get_terminal_size((SHORT_WIDTH if short else _MAX_WIDTH, 0)).columns
@@ -47,8 +49,9 @@ def print_whole(*items: Document | str, short: bool = False) -> None:
             console.print(Text(one_line(item)), no_wrap=True, overflow="ignore", crop=False)
         else:
             _print_line(console, item.title, "bold")
-            shown = item.short if short else item
-            for number, section in enumerate(x for x in shown.sections if x != Section()):
+            for number, section in enumerate(
+                x for x in (item.short if short else item).sections if x != Section()
+            ):
                 # The first section has the verdict, which belongs to the title.
                 console.print("\n" * (number > 0), end="")
                 _print_section(console, section, framed=not short)
@@ -116,7 +119,13 @@ def _print_table(console: Console, table: RichTable) -> None:
             _compact(column)
     least = Measurement.get(console, unbounded, table).minimum
     # Rich prints no line wider than its console.
-    Console(markup=False, emoji=False, width=max(console.width, least)).print(table, crop=False)
+    Console(
+        file=console.file,
+        force_jupyter=False,
+        markup=False,
+        emoji=False,
+        width=max(console.width, least),
+    ).print(table, crop=False)
 
 
 def _remove_frame(table: RichTable) -> None:
@@ -148,13 +157,12 @@ def to_markdown(document: Document) -> str:
     """Return the report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
-        warnings = (f"- **Warning: {_plain(text)}**" for text in section.warnings)
         parts += [
             f"## {_plain(section.title)}" if section.title else "",
             _markdown_table(section.table) if section.table else "",
             "\n".join(
                 [
-                    *warnings,
+                    *(f"- **Warning: {_plain(text)}**" for text in section.warnings),
                     *(
                         f"- {f'**{_plain(label)}**: ' * bool(label)}{_plain(' '.join(texts))}"
                         for label, *texts in map(_labelled, section.lines)
@@ -166,12 +174,9 @@ def to_markdown(document: Document) -> str:
 
 
 def _markdown_table(table: Table) -> str:
-    rows = [
-        [heading for heading, _ in table.columns],
-        *([cell_text(cell) for cell in row] for row in table.rows),
-    ]
     heading, *body = [
-        "| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows
+        "| " + " | ".join(_plain(cell_text(cell)).replace("|", r"\|") for cell in row) + " |"
+        for row in ([heading for heading, _ in table.columns], *table.rows)
     ]
     return "\n".join(
         [
@@ -244,8 +249,11 @@ def _html_section(section: Section, heading: int) -> list[str]:
 
 def _html_line(label: str, *texts: str) -> str:
     shown = [f'<span style="display:block">{escape(one_line(text))}</span>' for text in texts]
-    fact = f'<p class="fact"><b>{escape(label)}</b>{"".join(shown)}</p>'
-    return fact if label else _element("p", *texts)
+    return (
+        f'<p class="fact"><b>{escape(label)}</b>{"".join(shown)}</p>'
+        if label
+        else _element("p", *texts)
+    )
 
 
 def _html_table(table: Table) -> str:

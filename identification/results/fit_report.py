@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from msgspec import UNSET, UnsetType
 
+from acquisition.errors import Location
+
 from ..regression import ROWS
 from ..report import (
     NO_FIXED_POINT,
@@ -43,10 +45,17 @@ BY_REFERENCE = " with instruments from the reference"
 
 
 def fit_document(fit: FitFile) -> Document:
-    """Make the report of a fit's file, the verdict first."""
-    assert fit.provenance is not None
+    """Make the report of a fit's file, the verdict first.
+
+    Raises
+    ------
+    BadInputError : the file has known parameters.
+    """
+    provenance = Location("the fit").given(
+        fit.provenance, text="contains known parameters, but no fit of a recording"
+    )
     return Document(
-        title=f"{fit.provenance.robot}: {_method_line(fit)}",
+        title=f"{provenance.robot}: {_method_line(fit)}",
         badge=f"{fit.verdict} · {_counted(fit)}" if fit.verdict else "",
         figures=shared.main_figures(fit),
         sections=(

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.lazy import lazy_names
 
-from .charts import deviation_charts
-from .html_page import notebook_figure, write_html
+from .html_page import Figures, notebook_figures, write_html
 from .pages import (
     draw_comparison,
     draw_excitation,

@@ -121,22 +121,35 @@ def _with_contents(text: str) -> str:
     return numbered.replace(_CONTENTS, f'<nav aria-label="Contents">{links}</nav>')
 
 
-def notebook_figure(panel: Panel) -> str:
-    """Return a panel with the style of the report.
+class Figures(str):
+    """Figures as HTML, which a notebook shows."""
 
-    It is in a frame that keeps the style from the notebook.
+    _repr_html_ = str.__str__
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.count('&lt;/figure&gt;')} figures, which a notebook shows. Without a notebook: "
+            'fit.write_report("report.html")'
+        )
+
+
+def notebook_figures(*panels: Panel) -> Figures:
+    """Return panels below each other, with the style of the report.
+
+    They are in a frame that keeps the style from the notebook.
     """
-    height = (
+    heights = [
         EDGES[-1][0] + FOOT
         if isinstance(panel, Graph)
         else HEAD + PITCH * len(panel.names)
         if isinstance(panel, Rows)
         else 0.0
-    )
-    content = escape(f"<style>{_style()}</style>{_figure(panel)}")
-    return (
+        for panel in panels
+    ]
+    content = escape(f"<style>{_style()}</style>{''.join(map(_figure, panels))}")
+    return Figures(
         f'<iframe srcdoc="{content}" style="width:100%;max-width:{SHEET:g}px;'
-        f'height:{1.2 * height + 64:g}px;border:0"></iframe>'
+        f'height:{sum(1.2 * height + 64 for height in heights):g}px;border:0"></iframe>'
     )
 
 
@@ -172,12 +185,14 @@ def _figure(panel: Panel) -> str:
     title = escape(one_line(panel.title))
     match panel:
         case Log():
-            lines = [
-                f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
-                for _, bad, text in panel.lines[:MAX_EVENTS]
-            ]
-            more = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>"
-            lines += [more] * (len(panel.lines) > MAX_EVENTS)
+            lines = (
+                *(
+                    f'<p class="{"warning" if bad else "event"}">{escape(one_line(text))}</p>'
+                    for _, bad, text in panel.lines[:MAX_EVENTS]
+                ),
+                f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>"
+                * (len(panel.lines) > MAX_EVENTS),
+            )
             return f'<figure class="wide"><figcaption>{title}</figcaption>{"".join(lines)}</figure>'
         case Graph():
             named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}

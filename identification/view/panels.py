@@ -234,3 +234,9 @@ class Picture:
     first: Panel | None = None
     front: Page | None = None
     beside: Mapping[str, Panel] = field(default_factory=dict)
+
+    @property
+    def figures(self) -> tuple[Panel, ...]:
+        """The main panels: those of `front`, and those beside sections."""
+        groups = () if self.front is None else self.front.groups.values()
+        return (*(panel for group in groups for panel in group), *self.beside.values())

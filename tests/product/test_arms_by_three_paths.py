@@ -111,7 +111,7 @@ def test_from_drives(arm, capsys):
     truth = arm_of(Path("arm.urdf").read_text(), joints)
     for term in ("Fv", "Fc", "Ia"):
         getattr(truth, term)[:] = [given.get(f"{term}{j + 1}", 0.0) for j in range(len(joints))]
-    assert true_to(truth, identification.read_fit("fit.json"), MOST_OF_DRIVES)
+    assert true_to(truth, identification.load("fit.json"), MOST_OF_DRIVES)
 
 
 def test_from_table(arm):
@@ -131,7 +131,7 @@ def test_from_table(arm):
     acquire("import", "log.csv", "--robot", "robot.toml")
     identify("fit", "log.mcap", "--json", "fit.json")
     identify("export", "fit.json", "--mjcf", "robot.xml")
-    fit = identification.read_fit("fit.json")
+    fit = identification.load("fit.json")
     assert fit.verdict == "trust"
     assert {one.test: one.level for one in fit.file.trust}["delay"] == "inconclusive"
     assert "delay" in [one.what for one in fit.file.assumed]

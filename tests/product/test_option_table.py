@@ -404,7 +404,7 @@ def torques_of(result: Result, folder: Path) -> Iterator[Torque]:
     for name in {"out.json", "out.xml"} & result.files.keys():
         (folder / name).write_bytes(result.files[name])
     if re.search(r"^ \"verdict\": \"trust\"", result.text, re.MULTILINE):
-        yield identification.read_fit(folder / "out.json").predict
+        yield identification.load(folder / "out.json").predict
     if "out.xml" in result.files:
         yield mujoco_torque(str(folder / "out.xml"))
 

@@ -7,7 +7,7 @@ from conftest import ACQUIRE, IDENTIFY, REPLAY
 
 from acquisition.errors import BadInputError
 from acquisition.files import kind_of
-from identification import read_fit, read_robot
+from identification import load, read_robot
 from identification.report import write_json
 
 SCARA, SESSION, AXIS = (
@@ -94,7 +94,7 @@ def test_python_output_replaces_own_kind_only(tmp_path):
     robot, notes = tmp_path / "robot.toml", tmp_path / "notes.csv"
     robot.write_bytes(SCARA.read_bytes())
     notes.write_text("joint, remark\n1, squeaks\n")
-    fit = read_fit(FIT)
+    fit = load(FIT)
     for write in (
         lambda: write_json(robot, fit.file),
         lambda: fit.export(toml=tmp_path / "new.toml", mjcf=notes),

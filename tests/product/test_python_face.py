@@ -283,10 +283,10 @@ def test_fit_validates_on_other_recording(signals, by_iv, tmp_path):
     other = identification.simulate_recording(SCARA, tmp_path / "other.mcap", study)
     with pytest.raises(acquisition.BadInputError, match=r"other\.mcap: "):
         identification.simulate_recording(SCARA, tmp_path / "other.mcap")
-    by_iv.to_json(tmp_path / "fit.json")
+    by_iv.save(tmp_path / "fit.json")
     pairs = (
         (by_iv, other),
-        (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
+        (identification.load(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
     )
     found = [
         identification.validate(*pair, identification.Overrides(torque_lag_s=0.002))
@@ -300,11 +300,12 @@ def test_fit_validates_on_other_recording(signals, by_iv, tmp_path):
 def test_fit_has_verdict_and_parameters(by_iv, tmp_path):
     assert by_iv.verdict == by_iv.evidence.trust.verdict == "trust"
     assert by_iv.assumed == by_iv.evidence.trust.assumed != ()
-    by_iv.to_json(tmp_path / "fit.json")
-    for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
+    by_iv.save(tmp_path / "fit.json")
+    for fit in (by_iv, identification.load(tmp_path / "fit.json")):
         columns = fit.parameters.to_dict()
         assert [*columns] == [
             "name",
+            "meaning",
             "value",
             "half_width",
             "low",
@@ -410,24 +411,20 @@ def test_readme_lines_and_examples_run(tmp_path, monkeypatch, capsys):
 
     shutil.copy(SCARA, tmp_path / "robot.toml")
     monkeypatch.chdir(tmp_path)
-    assert doctest.testmod(identification) == (0, 7)
-    assert doctest.testmod(acquisition) == (0, 2)
-    for page, begin in (
-        (
-            "identification/docs/howto/python.md",
-            "Fit(SCARA, arrays, iv, converged, verdict trust: ",
-        ),
-        ("README.md", "trust "),
-    ):
+    blocks = [identification.__doc__.split("\n\n")[1]]
+    assert blocks[0].count("\n") == 5, "help begins with six lines"
+    for page in ("identification/docs/howto/python.md", "README.md"):
         section = (ROOT / page).read_text().split("## From Python\n")[1].split("\n## ")[0]
-        (block,) = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+        blocks += re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+    begins = "trust", "Fit(SCARA, arrays, iv, converged, verdict trust: ", "trust Parameters with "
+    for block, begin in zip(blocks, begins, strict=True):
         exec(compile(textwrap.dedent(block), "README", "exec"), {})
         told = capsys.readouterr().out
         assert told.startswith(begin)
         assert "ZZ1R" in told
-        Path("log.mcap").unlink(missing_ok=True)
-    for name in ("report.html", "robot.xml"):
-        (tmp_path / name).unlink()
+    assert doctest.testmod(acquisition) == (0, 2)
+    for name in ("log.mcap", "report.html", "robot.xml"):
+        Path(name).unlink()
     exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
     assert capsys.readouterr().out.startswith("trust ['drive gains', ")
     assert "SCARA" in (tmp_path / "report.html").read_text()
@@ -438,14 +435,14 @@ STORED = REPLAY / "tx40" / "fit.json"
 
 
 def test_stored_fit_has_short_repr():
-    stored = identification.read_fit(STORED)
+    stored = identification.load(STORED)
     expected = (
         "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, "
         "torque error 0.688 %)"
     )
     assert (repr(stored), repr(stored.file)) == (f"Fit{expected}", f"FitFile{expected}")
     shown = stored._repr_html_()
-    assert (len(shown) < 20_000, shown.count("<iframe")) == (True, 1)
+    assert (len(shown) < 25_000, shown.count("<iframe")) == (True, 1)
     frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
     assert (page.open, frame.open) == ([], [])
     assert any("Parameters of " in text for text in frame.texts)
@@ -456,11 +453,9 @@ def test_stored_fit_has_short_repr():
         "largest 95 % half-width (ZZ6)",
         "86 %",
     } <= {*page.texts}
-    assert expected.strip("()") in page.texts[0]
-    value = {p.name: p for p in stored.parameters}
-    assert [row[0] for row in page.rows[1:]] == sorted(
-        value, key=lambda x: value[x].half / abs(value[x].value)
-    )[:10]
+    assert page.texts[:2] == [stored.document.title, stored.document.badge]
+    assert page.rows[0][:3] == ["parameter", "meaning", "value"]
+    assert len(page.rows) == 11
     assert (stored.verdict, stored.assumed[0].what) == (
         stored.file.verdict,
         stored.file.assumed[0].what,
@@ -474,19 +469,19 @@ def test_fit_predicts_torque(by_iv, tmp_path):
     from identification.model import InverseModel
 
     fit = by_iv.consistent()
-    fit.to_json(tmp_path / "fit.json")
+    fit.save(tmp_path / "fit.json")
     q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
     expected = (
         InverseModel(robot_named("scara")).regressor(q, dq, ddq)[:, :, fit.base.columns] @ fit.beta
     )
-    for one in (fit, identification.read_fit(tmp_path / "fit.json")):
+    for one in (fit, identification.load(tmp_path / "fit.json")):
         np.testing.assert_allclose(one.predict(q, dq, ddq), expected, rtol=1e-9, atol=1e-9)
     with pytest.raises(identification.BadInputError, match=r"expected \(rows, 2\) of q"):
         fit.predict(q, dq[:, :1], ddq)
     bare = msgspec.structs.replace(fit.file, description={})
     (tmp_path / "bare.json").write_bytes(msgspec.json.encode(bare))
     with pytest.raises(identification.BadInputError) as told:
-        identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
+        identification.load(tmp_path / "bare.json").predict(q, dq, ddq)
     assert (told.value.place, told.value.key) == (str(tmp_path / "bare.json"), "description")
 
 

@@ -20,8 +20,8 @@ print(
     f"{widest.name}: {widest.low:.3g} to {widest.high:.3g}",
 )
 if fit.verdict != "do not use":
-    fit.to_json("fit.json")
+    fit.save("fit.json")
     fit.write_report("report.html")
     print(fit.consistent().export(mjcf="robot.xml"))
-    print([change.off for change in fit.compare(identification.read_fit("fit.json"))])
+    print([change.off for change in fit.compare(identification.load("fit.json"))])
     print(identification.validate(fit, log).relative_error_percent)

@@ -10,7 +10,7 @@ from conftest import REPLAY, robot_named
 from friction_models import USUAL, described, simulated
 
 from acquisition.robot import load_robot, robot_from_files
-from identification import read_fit
+from identification import load
 from identification.errors import BadInputError
 from identification.estimation import consistent_parameters
 from identification.model import (
@@ -60,7 +60,7 @@ def test_estimated_law_fills_empty_table(table, place, bandwidth_hz, tmp_path, c
     assert found == LAW | ({"bandwidth_hz": bandwidth_hz} if bandwidth_hz else {})
     assert load_robot(toml).controller.structure == LAW["structure"]
     assert all(line in toml.read_text() for line in table.splitlines())
-    read_fit(fit).export(toml=toml)
+    load(fit).export(toml=toml)
     assert tomllib.loads(toml.read_text())["controller"] == found
 
 
@@ -145,6 +145,6 @@ def test_incomplete_covariance_refused(tmp_path):
     content.pop("standard_parameters", None)
     (tmp_path / "fit.json").write_text(json.dumps(content))
     with pytest.raises(BadInputError) as caught:
-        read_fit(tmp_path / "fit.json").export(toml=tmp_path / "new.toml")
+        load(tmp_path / "fit.json").export(toml=tmp_path / "new.toml")
     first = base_parameters(InverseModel(robot_named("scara"))).names[0]
     assert (caught.value.key, caught.value.text) == ("covariance", f"lacks {first}")
