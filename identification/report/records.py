@@ -62,7 +62,7 @@ class Records(Shown, tuple[T, ...]):
         if isinstance(key, str):
             (column, names), *_ = self.to_dict().items()
             Location(self.title).require(
-                key in names, column, key, listed(get_close_matches(key, names) or names)
+                key in names, column, key, listed(get_close_matches(key, names, 6) or names)
             )
             key = names.index(key)
         found = super().__getitem__(key)

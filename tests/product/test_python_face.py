@@ -293,6 +293,11 @@ def test_fit_validates_on_other_recording(signals, by_iv, tmp_path):
         for pair in pairs
     ]
     assert found[0].torque_lag_s == 0.002
+    for name in ("shoulder", "elbow", "all"):
+        assert f"{found[0].errors[name].relative_error_percent:.4f}" in str(found[0])
+    warned = msgspec.structs.replace(found[0], warnings=["a <b>"])
+    assert str(warned).endswith("Warning: a <b>")
+    assert "Warning: a &lt;b&gt;</p>" in warned._repr_html_()
     assert found[0].joints == found[1].joints
     assert found[0].provenance.recording == "other.mcap"
 
@@ -321,6 +326,51 @@ def test_fit_has_verdict_and_parameters(by_iv, tmp_path):
     rho, tau = (x[by_iv.evidence.counts] for x in (by_iv.residuals(), by_iv.evidence.tau))
     whole = 100 * np.linalg.norm(rho) / np.linalg.norm(tau)
     assert whole == pytest.approx(by_iv.errors[-1].relative_error_percent)
+
+
+def figures_of(fit, *log):
+    """Captions of what `plot` shows, and the number of lines of each of its graphs."""
+    plot = fit.plot(*log)
+    assert plot._repr_html_() == "".join(plot)
+    content = html.unescape(plot.split('srcdoc="')[1].split('"')[0])
+    figures = content.split("<figure")[1:]
+    assert repr(plot).startswith(f"{len(figures)} figures, ")
+    assert Page(content).open == []
+    return {
+        re.search("<figcaption>([^<]*)", one)[1]: one.count('<path class="l ') for one in figures
+    }
+
+
+def test_plot_shows_torques_and_parameters(signals, by_iv, tmp_path):
+    torques = {f"torque {joint} [N m]": 1 + 3 for joint in ("shoulder", "elbow")}  # and a grid
+    shown = figures_of(by_iv)
+    assert [*shown] == [*torques, "Parameters of IV: ZZ1R to Fc2"]
+    assert torques.items() <= shown.items()
+    assert "write_report" in repr(by_iv.plot())
+    by_iv.save(tmp_path / "fit.json")
+    stored = identification.load(tmp_path / "fit.json")
+    assert [*figures_of(stored)] == [*shown][2:]
+    study = identification.Study(duration_s=4.0)
+    identification.simulate_recording(SCARA, tmp_path / "log.mcap", study)
+    assert [*figures_of(stored, tmp_path / "log.mcap")] == [*shown]
+    known = identification.load(REPLAY / "scara" / "truth.json")
+    for shown in (known.plot, lambda: known.document):
+        with pytest.raises(identification.BadInputError, match="known parameters, but no fit of a"):
+            shown()
+    assert known._repr_html_() == known.parameters._repr_html_()
+
+
+def test_earlier_names_work(by_iv, tmp_path):
+    by_iv.to_json(tmp_path / "a.json")
+    by_iv.save(tmp_path / "b.json")
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    again = identification.read_fit(tmp_path / "b.json")
+    assert again.parameters == identification.load(tmp_path / "b.json").parameters
+    assert again.parameters == by_iv.parameters
+    assert (by_iv["Fc2"].half, by_iv["Fc2"].meaning) == (
+        by_iv["Fc2"].half_width,
+        "Coulomb friction of elbow",
+    )
 
 
 @pytest.mark.filterwarnings("ignore::identification.DoNotUseWarning")
