@@ -10,8 +10,8 @@ from notebook_cells import NOTEBOOK, code_cells, run, stored_text
 CONTENT = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
 SHOWN = {  # of the cells that end with a result
     "fit": ("trust · 13 of 14 tests passed", "<iframe"),
-    "parameters": ("<th>meaning</th>", "<td>first moment x of link 3</td>"),
-    "assumed": ("<td>drive gains</td>",),
+    "parameters": (">meaning</th>", ">first moment x of link 3</td>"),
+    "assumed": (">drive gains</td>",),
     "plot": ("torque turn [N m]", "torque elbow [N m]", "Parameters of IV: ZZ1R to Fc3"),
 }
 
