@@ -59,7 +59,7 @@ if TYPE_CHECKING:  # type checkers follow names that a module imports only to th
     from .data import RecordingFile, Recordings, Signals, Work, load_signals
     from .design import ExcitationSettings, select_friction
     from .errors import BadInputError, DoNotUseWarning, NoFitError, RobotIdimError
-    from .fits import Fit
+    from .fits import Fit, load
     from .methods import Iteration
     from .notebook import *
     from .regression import Overrides

@@ -24,7 +24,9 @@ Out = File | None
 class Fit:
     """A fit: base parameters of a robot, the results of the tests, and methods that use it.
 
-    `fit["Fv1"]` is a parameter, as in `parameters`. A notebook shows a fit as its short report.
+    `fit["Fv1"]` is a parameter. `parameters`, `trust`, `assumed`, `errors` and `compare` are tables
+    of records, which are found by position and by name: `fit.trust["delay"]`. A table has
+    `to_dict()` and `to_dataframe()`. A notebook shows a fit as its short report.
 
     Attributes:
         file: content of the JSON file.
