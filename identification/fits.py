@@ -51,6 +51,9 @@ class Fit:
     def __getitem__(self, name: str) -> report.Parameter:
         return self.parameters[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.parameters
+
     @property
     def verdict(self) -> report.Verdict | UnsetType:
         """Worst level of all tests: `trust`, `caution` or `do not use`.

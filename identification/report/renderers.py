@@ -243,17 +243,13 @@ def _html_section(section: Section, heading: int) -> list[str]:
         *([_element(f"h{heading}", section.title)] if section.title else []),
         *([_html_table(section.table)] if section.table else []),
         *(_html_line(*_labelled(line)) for line in section.lines),
-        *(_element("p", f"Warning: {text}", 'class="warning"') for text in section.warnings),
+        *(_element("p", f"Warning: {text}", ' class="warning"') for text in section.warnings),
     ]
 
 
 def _html_line(label: str, *texts: str) -> str:
-    shown = [f'<span style="display:block">{escape(one_line(text))}</span>' for text in texts]
-    return (
-        f'<p class="fact"><b>{escape(label)}</b>{"".join(shown)}</p>'
-        if label
-        else _element("p", *texts)
-    )
+    shown = "".join(_element("span", text, ' style="display:block"') for text in texts)
+    return f'<p class="fact"><b>{escape(label)}</b>{shown}</p>' if label else _element("p", *texts)
 
 
 def _html_table(table: Table) -> str:
@@ -267,12 +263,11 @@ def _html_table(table: Table) -> str:
 def _html_row(tag: str, columns: Columns, texts: Sequence[str]) -> str:
     # Notebooks align cells to the right if they have no style of their own.
     cells = (
-        _element(tag, text, 'class="n"' if numeric else 'style="text-align:left"')
+        _element(tag, text, ' class="n"' if numeric else ' style="text-align:left"')
         for text, (_, numeric) in zip(texts, columns, strict=True)
     )
     return f"<tr>{''.join(cells)}</tr>\n"
 
 
 def _element(tag: str, text: str, attributes: str = "") -> str:
-    opened = f"<{tag} {attributes}>" if attributes else f"<{tag}>"
-    return f"{opened}{escape(one_line(text))}</{tag}>"
+    return f"<{tag}{attributes}>{escape(one_line(text))}</{tag}>"

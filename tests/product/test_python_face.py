@@ -365,6 +365,7 @@ def test_earlier_names_work(by_iv, tmp_path):
     by_iv.save(tmp_path / "b.json")
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     again = identification.read_fit(tmp_path / "b.json")
+    assert ("Fc2" in again, "Fc9" in again) == (True, False)
     assert again.parameters == identification.load(tmp_path / "b.json").parameters
     assert again.parameters == by_iv.parameters
     assert (by_iv["Fc2"].half, by_iv["Fc2"].meaning) == (
