@@ -304,8 +304,11 @@ class Fit:
         BadInputError : a drive gain is not known, the prior is of another robot, no physically
             consistent parameters are found, or the fit was read from a file.
         """
-        robot = self._made().problem.signals.robot
-        found = None if prior is None else results.read_prior(Path(prior), robot)
+        found = (
+            None
+            if prior is None
+            else results.read_prior(Path(prior), self._made().problem.signals.robot)
+        )
         return Fit.of(results.with_consistent(self._made(), found))
 
     @property
