@@ -337,12 +337,12 @@ def figures_of(fit, *log):
     assert repr(plot).startswith(f"{len(figures)} figures, ")
     assert Page(content).open == []
     return {
-        re.search("<figcaption>([^<]*)", one)[1]: one.count('<path class="l ') for one in figures
+        re.search("<figcaption>([^<]*?)(: error [^<]*)?<", one)[1]: one.count('<path class="l ') for one in figures
     }
 
 
 def test_plot_shows_torques_and_parameters(signals, by_iv, tmp_path):
-    torques = {f"torque {joint} [N m]": 1 + 3 for joint in ("shoulder", "elbow")}  # and a grid
+    torques = {f"torque {joint} [N m]": 2 + 3 for joint in ("shoulder", "elbow")}  # two grids
     shown = figures_of(by_iv)
     assert [*shown] == [*torques, "Parameters of IV: ZZ1R to Fc2"]
     assert torques.items() <= shown.items()
