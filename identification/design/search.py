@@ -31,6 +31,8 @@ FIRST_SEED = 20  # of the starts, because smaller seeds are those of the plain r
 # No parameter should become clearly worse than with a plain reference.
 MAX_DEVIATION_RATIO = 1 / 0.95
 START_SHARE = 0.9  # of the limits, at the start of a search
+# Of the position range, at the ends of the period. From its edge, `shrink` would end at rest.
+MAX_END_SHARE = 0.99
 MARGIN_M = 0.02  # smallest distance of links from each other and from the ground, m
 START_POSES = 200  # random poses, of which a search starts at the one with the largest distance
 MAX_ITERATIONS = 50  # of a search
@@ -151,7 +153,8 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
     """Return the coefficients of a random reference within a share of the limits, shape (n, K)."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
-    x[:, 0] /= START_SHARE
+    reach = MAX_END_SHARE * limits.maximum[0]
+    x[:, 0] = limits.middle + np.clip(x[:, 0] / START_SHARE - limits.middle, -reach, reach)
     if problem.obstacles is not None:
         x[:, 0] = _roomiest_pose(problem.obstacles, limits, seed)
     return shrink(

@@ -282,6 +282,19 @@ def test_infeasible_start_is_scaled():
     assert share.mean() > 0.05
 
 
+@pytest.mark.parametrize("robot", [SCARA, TX40], ids=["scara", "tx40"])
+def test_search_starts_in_motion(robot):
+    """Some of these random references end at the edge of a range."""
+    limits = limits_of(robot, (), 0.8, "here")
+    problem = search.SearchProblem(
+        series=SERIES, information=SimpleNamespace(), limits=limits, plain=np.ones(1)
+    )
+    for seed in range(40):
+        q, *_ = motion_of(search._random_start(problem, seed), problem.finer)
+        assert (np.ptp(q, axis=0) > 0.2 * limits.maximum[0]).all()
+        assert (np.abs(q - limits.middle) <= limits.maximum[0]).all()
+
+
 def test_no_worse_parameter_precedes_criterion(monkeypatch):
     sigmas = iter(np.array([[0.3, 1.2], [0.9, 0.9], [0.8, 0.95], [0.9, 1.0]]))
     starts = [random_x(SCARA, seed=seed, share=0.4) for seed in range(4)]
