@@ -1,8 +1,9 @@
 """`robot-identify fit`: base parameters from one or more recordings of one robot."""
 
 import argparse
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..options import LogOptions, Overrides
+from ..options import LogOptions, Overrides, ReferenceOptions
 from . import arguments as shared
 
 if TYPE_CHECKING:
@@ -56,6 +57,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--require", choices=["trust"], help="exit with status 3 unless the verdict is `trust`"
     )
     add_flag(outputs, "--all", "print everything: all parameters, tests, iterations, settings")
+    add_flag(
+        outputs,
+        "--brief",
+        "print only the verdict, and the `excite` command for the parameters that are not well "
+        "determined",
+    )
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
     shared.add_pictures(
         outputs,
@@ -78,32 +85,54 @@ def run(options: argparse.Namespace) -> int:
         options.recordings = [_recording_of_log(options)]
     pictures = _pictures(options)
     with Progress("reading") as progress:
-        from .. import results
+        from .. import report, results
 
         fit = _identify(options, progress.say)
+    document = results.fit_document(file := results.fit_file(fit))
+    poor = [p.name for p in file.parameters if not p.essential]
     shared.show_results(
         options,
-        results.fit_document(file := results.fit_file(fit)),
+        document.with_short(
+            (
+                "Findings",
+                ", ".join(x.test for x in fit.trust.lines if x.level in ("do not use", "caution")),
+            ),
+            (
+                "Torque error",
+                f"{report.Number(file.moving_relative_error_percent, '.3g').text} % in motion",
+            ),
+            ("Parameters", f"{file.size - len(poor)} of {file.size} well determined"),
+            ("The others", report.by_joint(poor, [joint.name for joint in file.joints])),
+        )
+        if options.brief
+        else document,
         lambda: file,
         lambda view: [view.draw_fit(file, one) for one in fit.recordings],
         pictures,
     )
-    lines = [
-        f"Report: {options.report}"
-        if options.report
-        else f"Report with charts: add --report {options.recordings[0].stem}.html",
-        *([f"Plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}"] if pictures else []),
-    ]
-    if options.robot is None:
-        lines += edited_descriptions(fit, options.recordings)
-    shared.print_results(*lines)
+    shared.print_results(
+        *(
+            _next_step(fit, poor, options)
+            if options.brief
+            else [
+                f"Report: {options.report}"
+                if options.report
+                else f"Report with charts: add --report {options.recordings[0].stem}.html",
+                *(
+                    [f"Plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}"]
+                    if pictures
+                    else []
+                ),
+                *([] if options.robot else edited_descriptions(fit, options.recordings)),
+            ]
+        )
+    )
     refused = ("do not use", "caution") if options.require else ("do not use",)
-    worst = fit.trust.lines[0].level
     return shared.trust_status(
         [
             f"{line.text}. {line.advice}".removesuffix(". ")
             for line in fit.trust.lines
-            if line.level == worst and worst in refused
+            if line.level == fit.trust.lines[0].level in refused
         ]
     )
 
@@ -143,6 +172,46 @@ def _ask(name: str, text: str) -> Any:
             except argparse.ArgumentTypeError as error:
                 shared.print_results(str(error))
     return None
+
+
+def _next_step(
+    fit: "results.Evidence", poor: Sequence[str], options: argparse.Namespace
+) -> list[str]:
+    """Return what would determine the `poor` parameters: a sentence, the command of a reference.
+
+    The reference must be expected to halve an interval, so that the advice ends where the true
+    values are 0. Nothing is advised for data that must not be used.
+    """
+    from ..design import expected_after
+
+    if not poor or fit.trust.verdict == "do not use":
+        return []
+    (log, *_), robot = options.recordings, options.robot or Path("robot.toml")
+    period_s, shares = expected_after(fit, robot)
+    # The same motion again would leave a share of 0.71.
+    times = [1 / share for name, share in shares.items() if name in poor and share < 0.5]
+    return (
+        [
+            f"One more recording should narrow {len(times)} of their intervals, up to "
+            f"{max(times):.3g} times:",
+            shlex.join(
+                [
+                    *("robot-identify", "excite", str(robot)),
+                    *("--after", *map(str, options.recordings)),
+                    *(
+                        ["--period", f"{period_s:g}"]
+                        if period_s != ReferenceOptions.period_s
+                        else []
+                    ),
+                    *("-o", str(log.with_name(f"{log.stem}_next.csv"))),
+                ]
+            ),
+        ]
+        if times
+        else ["To narrow their intervals, estimate the delay first: fit with --method iv."]
+        if any(line.test == "delay" and line.level == "caution" for line in fit.trust.lines)
+        else ["One more recording would not halve their intervals: their values may be 0."]
+    )
 
 
 def _pictures(options: argparse.Namespace) -> list[Path]:

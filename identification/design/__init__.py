@@ -5,7 +5,13 @@ terms. It may use fits and their rows, the model, the estimators, and `export` t
 description. It does not simulate.
 """
 
-from .excitation import Excitation, ExcitationSettings, excitation_document, excite
+from .excitation import (
+    Excitation,
+    ExcitationSettings,
+    excitation_document,
+    excite,
+    expected_after,
+)
 from .friction_report import friction_document, friction_file, write_friction
 from .information import Information, earlier_information, prior_information, torque_noise
 from .limits import Series, limits_of, motion_of

@@ -30,12 +30,15 @@ from ..model import (
 )
 from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
+from ..results import Evidence, fit_file
 from .information import (
     NORMAL_QUANTILE,
     Information,
     PriorInformation,
     earlier_information,
+    inverse,
     loads_of,
+    prior_information,
     rows_per_s,
     torque_noise,
 )
@@ -168,6 +171,8 @@ def excite(
     knowledge: PriorInformation,
     place: str,
     say: Callable[[str], None] = lambda text: None,
+    *,
+    quick: bool = False,
 ) -> Excitation:
     """Design an exciting reference within the limits of the robot.
 
@@ -180,6 +185,7 @@ def excite(
     knowledge : prior information about the robot.
     place : name of the description in errors.
     say : called with a line of text at each step of the search.
+    quick : True for one short search, which shows roughly what to expect of the whole one.
 
     Returns
     -------
@@ -219,6 +225,7 @@ def excite(
         limits=limits,
         plain=np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0)),
         obstacles=obstacles if obstacles.names else None,
+        quick=quick,
     )
     # A series may exceed a limit between the samples of the search, so the result is checked at
     # more samples.
@@ -254,6 +261,55 @@ def excite(
             "the reference",
         )
     return excitation
+
+
+def expected_after(fit: Evidence, place: Path) -> tuple[float, dict[str, float]]:
+    """Return what to expect of one more recording, along a reference designed after those of a fit.
+
+    Parameters
+    ----------
+    fit : the fit.
+    place : the description, for errors, and for meshes in its folder.
+
+    Returns
+    -------
+    The period of the reference, longer than usual if the position loop requires it, s. By
+    parameter the width of its interval with the recording, as a share of that without it. The
+    uncertainty of the delay stays. The values are from a quick search.
+
+    Raises
+    ------
+    BadInputError, NoFitError : as in `excite`.
+    """
+    recordings, robot = [one.problem.signals for one in fit.recordings], fit.problem.signals.robot
+    found = excite(
+        robot,
+        ExcitationSettings(
+            period_s=max(
+                ExcitationSettings.period_s,
+                math.ceil(
+                    ExcitationSettings.harmonics / (MAX_BANDWIDTH_SHARE * robot.bandwidth_hz)
+                ),
+            )
+        ),
+        prior_information(robot, place.parent, fit=fit_file(fit), after=recordings),
+        str(place),
+        quick=True,
+    )
+    # The noise usually grows with the torque.
+    growth = np.mean(np.asarray(found.curves()[3]) ** 2, axis=0) / np.mean(fit.tau**2, axis=0)
+    left = (
+        max(1.0, np.median(growth))
+        * found.sigma**2
+        / inverse(earlier_information(found.base, found.noise, recordings)).diagonal()
+    )
+    # Shares of variances. More motion does not reduce that of the delay.
+    of_delay = sum(x.moved**2 for x in fit.data.lags) / fit.data.intervals.sigma**2
+    return found.settings.period_s, {
+        name: math.sqrt(delay + left[found.base.names.index(name)] * (1 - delay))
+        for name, delay in zip(fit.data.estimate.names, of_delay, strict=True)
+        if name in found.base.names
+    }
 
 
 def _obstacles(model: InverseModel, knowledge: PriorInformation) -> Obstacles:

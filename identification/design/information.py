@@ -59,9 +59,9 @@ def prior_information(
     robot: Robot,
     folder: Path | None = None,
     *,
-    fit: Path | None = None,
+    fit: Path | report.FitFile | None = None,
     noise: Sequence[float] | None = None,
-    after: Sequence[Path] = (),
+    after: Sequence[Path | Signals] = (),
     payload: Payload | None = None,
 ) -> PriorInformation:
     """Collect what is known about the robot from files and arguments.
@@ -72,7 +72,7 @@ def prior_information(
     ----------
     robot : the robot.
     folder : folder of its description, for the meshes of its URDF.
-    fit : JSON file of a fit, for parameters and noise.
+    fit : a fit, or its JSON file, for parameters and noise.
     noise : standard deviation of the torque in a row of the fit, N m or N; one value, or one per
         joint.
     after : earlier recordings, whose information is added.
@@ -101,12 +101,12 @@ def prior_information(
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
         payload=payload,
-        recordings=[load_signals(path) for path in after],
+        recordings=[load_signals(log) if isinstance(log, Path) else log for log in after],
         folder=folder,
     )
     if fit is None:
         return known
-    stored = report.read_fit(fit)
+    stored = report.read_fit(fit) if isinstance(fit, Path) else fit
     share, errors = None, stored.joints
     if len(errors) == robot.n and all(
         e.autocorrelation is not None and e.moving_relative_error_percent is not None
@@ -122,7 +122,7 @@ def prior_information(
     return replace(
         known,
         beta=results.stored_beta(stored, base, str(fit)),
-        beta_from=fit.name,
+        beta_from=fit.name if isinstance(fit, Path) else "the fit",
         noise_share=share,
         warnings=(
             *results.terms_without_fit(stored, base, str(fit)),
@@ -277,7 +277,7 @@ class Information:
         ----------
         motion : positions, speeds and accelerations, shape (N, n) each.
         """
-        return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
+        return np.asarray(np.sqrt(np.diag(inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
         """Return the criterion of a motion and its gradients.
@@ -297,7 +297,7 @@ class Information:
             friction, slope = term.rounded(motion[1], self.creep)
             W[:, :, c] = friction[:, None] * term.direction
             slopes.append(slope)
-        C, D = _inverse(self._information(W)), 1 / plain**2
+        C, D = inverse(self._information(W)), 1 / plain**2
         total = float(D @ np.diag(C))
         # Since total = tr(D C) and C is the inverse of M, d total = -tr(C D C dM) with
         # dM = 2 W'dW / s². This gives the gradient G by the elements of W.
@@ -370,7 +370,7 @@ class Information:
         ]
 
 
-def _inverse(M: Array) -> Array:
+def inverse(M: Array) -> Array:
     """Return the inverse of a positive definite matrix, scaled to a diagonal of ones before."""
     with np.errstate(divide="ignore", invalid="ignore"):
         d = 1 / np.sqrt(np.diag(M))

@@ -55,6 +55,7 @@ class SearchProblem:
             relative.
         obstacles: pairs of links that keep a margin, or None. A search starts where they are far
             apart, and its result is moved towards the start until they keep the margin.
+        quick: one short search, which shows roughly what to expect of the whole one.
     """
 
     series: Series
@@ -62,6 +63,7 @@ class SearchProblem:
     limits: Limits
     plain: Array
     obstacles: Obstacles | None = None
+    quick: bool = False
 
     @cached_property
     def basis(self) -> Motion:
@@ -98,7 +100,7 @@ def best_of_searches(
     NoFitError : no search keeps the limits.
     """
     found, worst = list[tuple[bool, float, Array, Array]](), ""
-    for i in range(STARTS):
+    for i in range(1 if problem.quick else STARTS):
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
@@ -153,8 +155,10 @@ def _random_start(problem: SearchProblem, seed: int) -> Array:
     """Return the coefficients of a random reference within a share of the limits, shape (n, K)."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
-    reach = MAX_END_SHARE * limits.maximum[0]
-    x[:, 0] = limits.middle + np.clip(x[:, 0] / START_SHARE - limits.middle, -reach, reach)
+    x[:, 0] = np.clip(
+        x[:, 0] / START_SHARE,
+        *(limits.middle + side * MAX_END_SHARE * limits.maximum[0] for side in (-1, 1)),
+    )
     if problem.obstacles is not None:
         x[:, 0] = _roomiest_pose(problem.obstacles, limits, seed)
     return shrink(
@@ -206,7 +210,7 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
         share=MAX_SHARE,
         obstacles=problem.obstacles,
     )
-    x = search.minimise(start, MAX_ITERATIONS)
+    x = search.minimise(start, POLISHING_ITERATIONS if problem.quick else MAX_ITERATIONS)
     search.tighten(x)
     return kept(search.minimise(x, POLISHING_ITERATIONS), towards=kept(x, towards=start))
 

@@ -62,6 +62,7 @@ from .parameters import (
     PhysicalWarning,
     StandardParameter,
     base_name,
+    by_joint,
     gain_name,
     is_base,
     is_gain,

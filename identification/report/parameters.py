@@ -13,7 +13,7 @@ Names of recordings and motors may have either sign in them: the first one in a 
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Annotated
 
@@ -88,6 +88,8 @@ MEANINGS = {
     "Off": "offset",
 }
 OF_LINKS = tuple(MEANINGS)[:10]
+# kind, R if regrouped, number of the joint, R, and recording
+_parts: _Question = re.compile(r"([A-Za-z]+?)(R?)(\d*)(R?)(?:[:@](.*)|$)", re.DOTALL).match
 
 
 def meaning_of(name: str, joints: Sequence[str]) -> str:
@@ -96,7 +98,7 @@ def meaning_of(name: str, joints: Sequence[str]) -> str:
     `joints` are the names of the joints, in order; a joint without a name has its number. A gain or
     an unknown name gives an empty text.
     """
-    found = re.match(r"([A-Za-z]+?)(R?)(\d*)(R?)(?:[:@](.*)|$)", name, re.DOTALL)
+    found = _parts(name)
     kind, before, number, after, where = found.groups() if found else ("", "", "", "", None)
     if kind not in MEANINGS:
         return ""
@@ -113,6 +115,27 @@ def meaning_of(name: str, joints: Sequence[str]) -> str:
     )
     ending = (f" in {where}" if where else "") + (" (regrouped)" if before or after else "")
     return f"{MEANINGS[kind]} of {place}{ending}"
+
+
+def by_joint(names: Iterable[str], joints: Sequence[str]) -> str:
+    """Return parameters by joint in words: `joint_1: offset; joint_2: 2 inertias, offset`.
+
+    `joints` are the names of the joints, in order. Names without a joint or a meaning are ignored.
+    """
+    found = [
+        # without the axes of `moment of inertia xx`, `first moment x`
+        (int(parts[3]) - 1, re.sub(r"(moment|product) of | [x-z]+$", "", MEANINGS[parts[1]]))
+        for parts in map(_parts, names)
+        if parts and parts[3] and parts[1] in MEANINGS
+    ]
+    return "; ".join(
+        f"{joint}: "
+        + ", ".join(f"{words.count(x)} {x}s" if words.count(x) > 1 else x for x in unique)
+        for j, joint in enumerate(joints)
+        for words in [[word for k, word in found if k == j]]
+        for unique in [dict.fromkeys(words)]
+        if words
+    )
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
