@@ -8,9 +8,11 @@ Python when SYNC is due.
 import argparse
 import os
 import select
+import subprocess
 import sys
 import termios
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(session, RecordOptions, "payload", "passive", "dry_run", "duration_s", "speed")
     add_flag(session, "--yes", "start --track without asking to confirm the joint positions")
     add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
+    add_flag(session, "--no-fit", "do not fit the recording of --track afterwards")
     add_path(
         parser.add_argument_group("outputs"),
         "-o --output",
@@ -64,8 +67,9 @@ def run(options: argparse.Namespace) -> int:
     notes = Notes(line)
 
     def confirm(words: list[str], faults: list[str]) -> bool:
-        sure = options.yes and not faults
-        return sure or (os.isatty(STDIN) and _ask(words + faults, stop, line))
+        return (options.yes and not faults) or (
+            os.isatty(STDIN) and _ask(words + faults, stop, line)
+        )
 
     def announce(outcome: "Outcome") -> None:
         """Name the drives that may still be enabled, before the recording is closed."""
@@ -105,7 +109,14 @@ def run(options: argparse.Namespace) -> int:
     finally:
         notes.close()
         line.show()
-    return _report(options.output, robot, outcome, recorded)
+    _report(options.output, robot, outcome, recorded)
+    if (
+        options.track is not None
+        and not (outcome.fault or outcome.cut_short or options.no_fit)
+        and find_spec("identification")
+    ):
+        _fit(options.output, options.robot)
+    return int(outcome.fault)
 
 
 def _check_options(options: argparse.Namespace) -> None:
@@ -127,7 +138,8 @@ def _tell(text: str) -> None:
     print(one_line(text), file=sys.stderr, flush=True)
 
 
-def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
+def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> None:
+    """Print how the session ended; raise an error if it was not as asked, without a fault."""
     from ..session import INTERRUPTED
 
     # The reason is printed before the summary of the recording.
@@ -138,14 +150,18 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         )
     for text in () if outcome.fault else recorded.warnings:
         _tell(f"warning: {text}")
-    found = f"{recorded.samples} samples, {recorded.frames} CAN frames"
-    print(one_line(f"{out}: {robot.name}, {found}; {outcome.reason}"))
+    print(
+        one_line(
+            f"{out}: {robot.name}, {recorded.samples} samples, {recorded.frames} CAN frames; "
+            f"{outcome.reason}"
+        )
+    )
     Location(str(out)).require(
         recorded.path is None or recorded.path.absolute() == out.absolute(),
         text=f"the file was deleted during the session; the recording is now in {recorded.path}",
     )
     if outcome.fault:
-        return 1
+        return
     if outcome.alarm:
         raise BusFaultError(outcome.alarm, place=str(out))
     if outcome.cut_short and outcome.reason != INTERRUPTED:
@@ -156,7 +172,32 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         else "the recording contains frames, but no samples"
     )
     Location("").require(not recorded.no_samples, text=f"{left}: {recorded.no_samples}")
-    return 0
+
+
+def _fit(recording: Path, robot: Path) -> None:
+    """Show what the recording determines: by least squares, in a process of its own.
+
+    Every drive is disabled and the file is closed before. Signals end the fit alone. It cannot
+    change the exit status.
+    """
+    from ..session import Stop, stop_on_signals
+
+    print(f"Least-squares fit of {recording} (--no-fit leaves it out):", flush=True)
+    with stop_on_signals(Stop()), suppress(OSError, subprocess.TimeoutExpired):
+        done = subprocess.run(
+            [
+                *(sys.executable, "-P", "-m", "identification"),
+                *("fit", recording, "--robot", robot, "--method", "wls", "--brief"),
+            ],
+            stdin=subprocess.DEVNULL,
+            timeout=60,
+            check=False,
+            preexec_fn=lambda: os.nice(10),
+        )
+        # The status is negative after a signal. Otherwise a result or an error is printed.
+        if done.returncode >= 0:
+            return
+    _tell(f"The fit has ended without a result. To repeat it: robot-identify fit {recording}")
 
 
 def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:

@@ -180,6 +180,7 @@ def tracking(folder: Path, out: Path, *options: str) -> Iterator["subprocess.Pop
         "-o",
         str(out),
         "--yes",
+        "--no-fit",
         "--track",
         str(folder / "ref.csv"),
     )

@@ -207,7 +207,8 @@ SMALL = (
     "robot-acquire info log.mcap",
     "robot-acquire import log.mcap -o again.mcap",
     "robot-acquire check robot.toml",
-    "robot-acquire record robot.toml -o dry.mcap --dry-run --track ref.csv",
+    "robot-acquire record robot.toml -o dry.mcap --dry-run --track ref.csv --no-fit",
+    "robot-identify fit log.mcap --method wls --brief",
     "robot-identify demo --robot scara --out demo",
 )
 

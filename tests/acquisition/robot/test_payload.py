@@ -336,6 +336,7 @@ def test_dry_run_carries_payload(tmp_path, capsys, payload, torque_nm):
         "--track",
         str(tmp_path / "ref.csv"),
         "--dry-run",
+        "--no-fit",
         "-o",
         str(out),
     ]

@@ -348,7 +348,7 @@ def test_exit_status_of_unfinished_reference(
     monkeypatch.setattr("acquisition.commands.record.live_line", line)
     out = tmp_path / "a.mcap"
     command = ["record", tmp_path / "robot.toml", "--track", tmp_path / "r.csv", "--dry-run"]
-    assert main([str(word) for word in (*command, "-o", out)]) == status
+    assert main([str(word) for word in (*command, "--no-fit", "-o", out)]) == status
     errors = [x for x in capsys.readouterr().err.splitlines() if x.startswith("robot-acquire")]
     assert errors == [
         f"robot-acquire: {out}: the session ended early: stopped by {name}"

@@ -110,6 +110,7 @@ def test_passive_recording_sends_nothing(folder):
         "record",
         str(folder / "robot.toml"),
         "--yes",
+        "--no-fit",
         "--track",
         str(folder / "ref.csv"),
         "-o",
