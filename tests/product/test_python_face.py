@@ -337,7 +337,8 @@ def figures_of(fit, *log):
     assert repr(plot).startswith(f"{len(figures)} figures, ")
     assert Page(content).open == []
     return {
-        re.search("<figcaption>([^<]*?)(: error [^<]*)?<", one)[1]: one.count('<path class="l ') for one in figures
+        re.search("<figcaption>([^<]*?)(: error [^<]*)?<", one)[1]: one.count('<path class="l ')
+        for one in figures
     }
 
 

@@ -21,7 +21,7 @@ from random_arms import set_own
 from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
-from identification import Fit
+from identification import load
 from identification.control import Reference, described_law
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
@@ -578,7 +578,7 @@ def test_draws_replace_nothing_else(fits, tmp_path, capsys):
     assert "--seed" in refused(capsys, *command, "--seed", 3)
     for options in ({"draws": -1}, {"draws": 1, "seed": -1}):
         with pytest.raises(BadInputError, match="0 or greater"):
-            Fit.read(fit).export(mjcf=tmp_path / "x.mjcf", **options)
+            load(str(fit)).export(mjcf=tmp_path / "x.mjcf", **options)
     assert [p.name for p in tmp_path.iterdir()] == [notes.name]
     assert notes.read_text() == "check the brake\n"
 
