@@ -21,7 +21,7 @@ from random_arms import set_own
 from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
-from identification import load
+from identification import Fit, load
 from identification.control import Reference, described_law
 from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
