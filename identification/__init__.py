@@ -13,6 +13,7 @@ notebook, `fit` shows its report and `fit.plot()` its figures. `help(identificat
 arguments, `help(identification.Fit)` all results. The main names:
 
     fit                      fit arrays; the result is a `Fit`
+    fit_log                  fit a log of another program (CSV, MAT, ROS 2 bag) with its URDF
     load                     read a fit that `Fit.save` wrote
     validate                 compute the torque errors of a fit on another recording
     load_signals             read a recording: q, q_ref, effort, t_s, sample_rate_hz
