@@ -164,18 +164,15 @@ def draw_comparison(
         for k, x in enumerate((own, other))
     )
     deviations = charts.deviation_charts(first, [second])
-    torques = curves.compared_plots(fits, (own.label, other.label))
+    plots = curves.compared_plots(fits, (own.label, other.label))
+    torques = dict(zip(("torque", "residual"), plots, strict=True))
     return Picture(
         name=f"{own.label} and {other.label}",
         document=document,
+        # A page of a report has room for all charts, a screen for one.
+        front=Page(name="comparison", groups={"parameters": deviations, **torques}),
         pages=(
-            Page(
-                name="comparison",
-                groups={
-                    "parameters": deviations[:1],
-                    **dict(zip(("torque", "residual"), torques, strict=True)),
-                },
-            ),
+            Page(name="comparison", groups={"parameters": deviations[:1], **torques}),
             Page(name="parameters", groups={"parameters": deviations[1:]}),
         ),
         sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in fits}},
