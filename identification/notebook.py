@@ -284,15 +284,11 @@ def fit_log(
         overwrite=overwrite,
         **{name: tuple(np.atleast_1d(x).tolist()) for name, x in several.items() if x is not None},
     )
-    recording = export.import_foreign_log(Path(path), Path(robot), given, say=_warn)
+    recording, document = export.import_foreign_log(Path(path), Path(robot), given)
+    for text in (text for section in document.sections for text in section.warnings):
+        warnings.warn(text, stacklevel=2)
     source = RecordingFile.at(recording)
     return _of_user(results.identify(Recordings(sources=(source,)), Overrides(), method=method))
-
-
-def _warn(line: str) -> None:
-    """Pass warnings of an import on; its other lines are in the files."""
-    if line.startswith("warning: "):
-        warnings.warn(line.removeprefix("warning: "), stacklevel=4)
 
 
 def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ...]:

@@ -38,8 +38,8 @@ the torque.
 
 """
 BEFORE = """
-An earlier version of this program (commit ee4bda0c) made the fits of {arms}. Its torque error is
-behind the filter of the fit. Their texts are in the words of today; their numbers have nine digits.
+An earlier version of this program made the fits of {arms}. Their torque errors are those of
+filtered torques, and their numbers have nine digits.
 """
 ADD = """
 ## Add an arm
@@ -169,7 +169,8 @@ def model_text(arm: Arm, out: Path) -> str:
         Section(table=table), Section(lines=tuple(f"{x[:1].upper()}{x[1:]}." for x in lines))
     )
     summary = "What the model lacks, and how it was made"
-    return f"[Model for MuJoCo](arms/{path.name})\n\n{hidden(summary, text)}"
+    lacks = ", which lacks a part of the torque (see below)" * (found.table is not None)
+    return f"[Model for MuJoCo](arms/{path.name}){lacks}\n\n{hidden(summary, text)}"
 
 
 def published_text(arm: Arm) -> Iterator[str]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
+from ..errors import BadInputError
 from ..options import LogOptions, Overrides, ReferenceOptions
 from . import arguments as shared
 
@@ -146,30 +147,30 @@ def _recording_of_log(options: argparse.Namespace) -> Path:
         len(others) == 1, "LOG", len(options.recordings), "one log, then its robot"
     )
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
-    return import_foreign_log(
-        log,
-        others[0],
-        from_options(LogOptions, options),
-        _ask if terminal else None,
-        shared.print_results,
-    )
+    given = from_options(LogOptions, options)
+    recording, document = import_foreign_log(log, others[0], given, _ask if terminal else None)
+    shared.print_results(document, "", everything=False)
+    return recording
 
 
-def _ask(name: str, text: str) -> Any:
-    """Ask for the value of an option until it can be read; None for an empty line."""
+def _ask(name: str, text: str, check: Callable[[Any], object]) -> Any:
+    """Ask for the value of an option until it passes the check; None for an empty line."""
+    from ..report import Document
+
     how = get_args(get_type_hints(LogOptions, include_extras=True)[name])[1]
     columns = [line[1:] for line in text.splitlines() if line.startswith("#   ")]
-    shared.print_results(*columns * (name == "columns"), "", how["help"].replace("%%", "%"))
+    shared.print_results(*columns * (name == "columns"))
+    shared.print_results(Document(title=how["help"].replace("%%", "%"), sections=()))
     with suppress(EOFError):
         while True:
-            print(
-                f"{name.replace('_', ' ')} [{how['metavar']}, Enter: unknown]", end=": ", flush=True
-            )
+            optional = ", Enter: not known" * (name == "drive_gain")
+            print(f"{name.replace('_', ' ')} [{how['metavar']}{optional}]", end=": ", flush=True)
             if not (answer := input()):
                 break
             try:
-                return how["type"](answer)
-            except argparse.ArgumentTypeError as error:
+                check(value := how["type"](answer))
+                return value
+            except (argparse.ArgumentTypeError, BadInputError) as error:
                 shared.print_results(str(error))
     return None
 
@@ -187,7 +188,10 @@ def _next_step(
     if not poor or fit.trust.verdict == "do not use":
         return []
     (log, *_), robot = options.recordings, options.robot or Path("robot.toml")
-    period_s, shares = expected_after(fit, robot)
+    try:
+        period_s, shares = expected_after(fit, robot)
+    except BadInputError as error:
+        return [f"No reference can be designed to narrow their intervals. {error}"]
     # The same motion again would leave a share of 0.71.
     times = [1 / share for name, share in shares.items() if name in poor and share < 0.5]
     return (

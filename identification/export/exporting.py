@@ -46,6 +46,7 @@ SOFT_FRICTION = (
     "MuJoCo's frictionloss is a soft constraint: a joint near rest creeps, a moving joint has its "
     "full friction"
 )
+MIN_DRAWS = 20  # for a comparison of their spread with the intervals
 MIN_SPREAD = 0.9  # of the interval; parameters with less spread in the draws are reported
 _TABLE_HEADER = re.compile(
     r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
@@ -169,14 +170,16 @@ def _draws_section(found: Draws, files: Sequence[Mapping[str, Path | None]], see
                     "at a bound of physical consistency, in percent of the draws": [
                         f"{text} {100 * share:.0f}" for text, share in found.at_bound.items()
                     ],
-                    "narrower than the interval because of a bound, spread in percent of it": [
+                    "spread below 90 % of the interval, in percent of it": [
                         f"{name} {100 * share:.0f}"
                         for name, share in found.narrowed.items()
-                        if share < MIN_SPREAD
+                        if share < MIN_SPREAD and len(files) >= MIN_DRAWS
                     ],
                 }.items()
                 if parts
             ),
+            *[f"fewer than {MIN_DRAWS} draws: their spread is not compared with the intervals"]
+            * (len(files) < MIN_DRAWS),
         ),
     )
 

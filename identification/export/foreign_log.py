@@ -31,14 +31,16 @@ from acquisition.importing import (
 from acquisition.robot import FILL_IN, Robot, load_robot
 
 from ..options import LogOptions
+from ..report import Document, Section
 from .chain import read_chain
 from .description import OF_GAINS, describe, read_robot, robot_of_chain
 
-# Asks for an option, and shows the text before; None if the user does not know.
-Ask = Callable[[str, str], Any]
+# Asks for an option, with the map so far, until the value passes the check; None if the user does
+# not know it.
+Ask = Callable[[str, str, Callable[[Any], object]], Any]
 MOST_QUESTIONS = 2
 _OPEN = {
-    "columns": "the quantities of its columns, or its sample rate",
+    "columns": "which columns are positions and efforts, or the sample rate",
     "position_unit": "the unit of the positions",
     "effort_unit": "the unit of the efforts",
 }
@@ -49,8 +51,7 @@ def import_foreign_log(
     robot: Path,
     given: LogOptions,
     ask: Ask | None = None,
-    say: Callable[[str], None] = lambda line: None,
-) -> Path:
+) -> tuple[Path, Document]:
     """Write the recording of a log, and its description and map, beside the log.
 
     Parameters
@@ -59,11 +60,10 @@ def import_foreign_log(
     robot : URDF, or robot.toml, which a CAN log needs.
     given : what the log does not contain.
     ask : function that asks the user for an option, at most twice; None without a user.
-    say : function that receives lines on what was read, given or assumed, and warnings.
 
     Returns
     -------
-    The recording.
+    The recording, and a report of what was written, read, given and assumed, with warnings.
 
     Raises
     ------
@@ -84,11 +84,10 @@ def import_foreign_log(
         Location(str(path)).require(
             given.overwrite or not path.exists(),
             text="already exists",
-            advice=f"Run `robot-identify fit {out}`, after `robot-acquire import {log} --robot "
-            f"{described}` for an edited map, or make all files anew",
+            advice=f"Run `robot-identify fit {out}`, or import the log again",
             arguments=("overwrite",),
         )
-    gains: dict[str, Any] = {"ratio": given.ratio, "drive_gain": given.drive_gain}
+    gains = {"ratio": given.ratio, "drive_gain": given.drive_gain}
     chain, text = read_chain(robot) if is_urdf else None, ""
     known = (
         robot_of_chain(chain)
@@ -104,65 +103,85 @@ def import_foreign_log(
     else:
         given, text = _complete(log, known, given, ask, bag=bag, of_urdf=is_urdf)
     if chain is not None:
-        # Without a ratio, a gain is that at the joint.
-        ratio = given.ratio or (given.drive_gain and (1.0,))
-        gains |= {"torque_sensor": TORQUE_SENSORS in text, "ratio": ratio}
+        values = {
+            # Without a ratio, a gain is that at the joint.
+            "ratio": given.ratio or (given.drive_gain and (1.0,)),
+            "drive_gain": given.drive_gain,
+            "torque_sensor": TORQUE_SENSORS in text,
+        }
         chain = chain.with_efforts(
             chain.units_of(_effort_units(given, text)),
-            {name: values for name, values in gains.items() if values},
+            {name: x for name, x in values.items() if x},
         )
         write_text(described, describe(chain, os.path.relpath(robot, described.parent)))
         known = load_robot(described)
-    say(f"{described}: {_robot_line(known)}")
     if text:
         write_text(map_path, text)
-        for line in (f"{map_path}:", *_map_lines(text)):
-            say(line)
         found = import_tables([log], known, map_path, out)
     elif bag:
-        options = BagOptions(effort_unit=given.effort_unit or (), topic=given.topic or "")
+        units = [effort_unit(unit) for unit in given.effort_unit or ()]
+        options = BagOptions(effort_unit=units, topic=given.topic or "")
         found = import_bag(log, known, out, options)
     else:
         found = import_log(log, out, known, str(robot))
-    for line in (*summary_lines(found), *(f"warning: {text}" for text in found.warnings)):
-        say(one_line(line))
-    return out
+    title, *others = summary_lines(found)
+    files = [str(described)] * is_urdf + [str(map_path)] * bool(text)
+    lines = (
+        ("robot", _robot_line(known)),
+        *_map_lines(text),
+        *((label, line) for label, _, line in (line.partition(": ") for line in others)),
+        ("also written", ", ".join(files)),
+    )
+    shown = tuple(line for line in lines if line[1])
+    return out, Document(title=title, sections=(Section(lines=shown, warnings=found.warnings),))
 
 
 def _complete(
     log: Path, robot: Robot, given: LogOptions, ask: Ask | None, *, bag: bool, of_urdf: bool
 ) -> tuple[LogOptions, str]:
     """Return what the log does not contain, from `given` or asked for, and the map of a table."""
-    text, assume = "", ask is not None
+    _, missing = _map(log, robot, given, bag=bag)
+    # With more open than may be asked, the most likely unit is assumed, and this is printed.
+    assume = ask is not None and len(missing) > MOST_QUESTIONS
     for left in range(MOST_QUESTIONS, -1, -1):
-        if given.effort_unit:
-            given = replace(given, effort_unit=tuple(map(effort_unit, given.effort_unit)))
-        ask, missing = ask if left else None, [] if given.effort_unit else ["effort_unit"]
-        if not bag:
-            text, missing = _map(log, robot, given, assume=assume)
-        if not missing:
-            current = {*_effort_units(given, text)} & {*OF_GAINS}
-            if current and of_urdf and ask and not given.drive_gain:
-                given = replace(given, drive_gain=ask("drive_gain", text))
+        text, missing = _map(log, robot, given, bag=bag, assume=assume)
+        optional = of_urdf and not given.drive_gain and {*_effort_units(given, text)} & {*OF_GAINS}
+        if not missing and not (optional and ask and left):
             break
-        (name, *_), why = missing, re.findall(rf'(?m)^[^#\n]*"{FILL_IN}".*# (.*)$', text)
-        answer = ask(name, text) if ask and getattr(given, name) is None else None
-        if answer is None:
-            Location(str(log)).refuse(
-                text=f"does not show {' and '.join(_OPEN[x] for x in missing)}"
-                + f" ({'; '.join(dict.fromkeys(why))})" * bool(why),
-                advice="Look them up in the manual, and add",
-                arguments=missing,
+        name = missing[0] if missing else "drive_gain"
+
+        def check(value: Any, name: str = name, given: LogOptions = given) -> None:
+            tried = replace(given, **{name: value})
+            _, still = _map(log, robot, tried, bag=bag, assume=True)
+            Location(str(log)).require(
+                name not in still, text=f"{value} does not show {_OPEN.get(name)}"
             )
+
+        answer = ask(name, text, check) if ask and left else None
+        if answer is None:
+            break
         given = replace(given, **{name: answer})
+    why = dict.fromkeys(re.findall(rf'(?m)^[^#\n]*"{FILL_IN}".*# (.*)$', text))
+    Location(str(log)).require(
+        not missing,
+        text=f"does not show {', '.join(_OPEN[x] for x in missing)}"
+        + f" ({'; '.join(why)})" * bool(why),
+        advice="Look in the manual of the robot or its driver, and give these options",
+        arguments=missing,
+    )
     return given, text
 
 
-def _map(log: Path, robot: Robot, given: LogOptions, *, assume: bool) -> tuple[str, list[str]]:
-    """Return the map of a table, and the options that it still needs."""
+def _map(
+    log: Path, robot: Robot, given: LogOptions, *, bag: bool, assume: bool = False
+) -> tuple[str, list[str]]:
+    """Return the map of a table, and the options that the log still needs."""
+    efforts = [effort_unit(unit) for unit in given.effort_unit or ()]
+    if bag:
+        return "", [] if efforts else ["effort_unit"]
     columns, rate_hz = split_columns(given.columns) if given.columns else ({}, None)
     text = propose_map(log, robot, columns)
-    known = {"position_unit": given.position_unit, "effort_unit": given.effort_unit}
+    known = {"position_unit": given.position_unit, "effort_unit": efforts}
     units = {name: (values, "as given") for name, values in known.items() if values}
     if assume and RAD_OR_DEG in text:
         units.setdefault("position_unit", (("rad",), "assumed, because all values are within 2 pi"))
@@ -171,9 +190,10 @@ def _map(log: Path, robot: Robot, given: LogOptions, *, assume: bool) -> tuple[s
 
 
 def _effort_units(given: LogOptions, text: str) -> list[str]:
-    """Return the SI units of the efforts, one or one per joint."""
+    """Return the SI units of the efforts, one or one per joint; none while they are not known."""
     units = tomllib.loads(text)["effort"]["unit"] if text else given.effort_unit or ()
-    return [EFFORT_UNITS[x][0] for x in ([units] if isinstance(units, str) else units)]
+    known = [effort_unit(x) for x in ([units] if isinstance(units, str) else units) if x != FILL_IN]
+    return [EFFORT_UNITS[x][0] for x in known]
 
 
 def _robot_line(robot: Robot) -> str:
@@ -184,13 +204,12 @@ def _robot_line(robot: Robot) -> str:
     return one_line(f"{robot.n} joints of {robot.name}, efforts in {', '.join(units)}{told}")
 
 
-def _map_lines(text: str) -> Iterator[str]:
-    """Return a line for each table of a map: its columns, unit and side, with the reasons."""
-    yield from re.findall(r"(?m)^#( no \[.*)$", text)
+def _map_lines(text: str) -> Iterator[tuple[str, str]]:
+    """Return for each table of a map its columns, unit and side, with the reasons."""
     for table, content in re.findall(r"(?m)^\[(\w+)\]\n((?:[^\[\n].*\n)*)", text):
         values, reasons = zip(*re.findall(r"(?m)^\w+ = (.*?)(?: # (.*))?$", content), strict=True)
-        ends = [
-            names[:: len(names) - 1 or 1] for x in values for names in [x.strip("[]").split(", ")]
-        ]
-        shown = ", ".join(" to ".join(names).replace('"', "") for names in ends)
-        yield f"  {table}: {shown} ({'; '.join(dict.fromkeys(filter(None, reasons)))})"
+        names = [value.strip("[]").replace('"', "").split(", ") for value in values]
+        shown = ", ".join(" to ".join(x[:: len(x) - 1 or 1]) for x in names)
+        why = dict.fromkeys(re.sub("from the names.*", "by name", x) for x in reasons if x)
+        yield table, f"{shown} ({'; '.join(why)})"
+    yield from (("no reference", x) for x in re.findall(r"(?m)^# no \[reference\]: (.*)$", text))

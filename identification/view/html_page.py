@@ -127,10 +127,13 @@ class Figures(str):
     _repr_html_ = str.__str__
 
     def __repr__(self) -> str:
+        count = self.count("&lt;/figure&gt;")
         return (
-            f"{self.count('&lt;/figure&gt;')} figures, which a notebook shows. Without a notebook: "
+            f"{count} figure{'s' * (count != 1)}, for a notebook. Without a notebook: "
             'fit.write_report("report.html")'
         )
+
+    __str__ = __repr__
 
 
 def notebook_figures(*panels: Panel) -> Figures:

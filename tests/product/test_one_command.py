@@ -165,9 +165,9 @@ def test_nothing_is_guessed(logged, capsys):
         identification.fit_log(log, "arm.urdf")
 
 
-ANSWERS = {
-    "no header": ["position=2-7,effort=8-13", "Nm"],
-    "RTDE": ["x", ",".join(map(str, GAINS))],  # what is no number is asked again
+ANSWERS = {  # those that are wrong are asked again
+    "no header": ["2-7", "position=2-6", "position=2-7,effort=8-13", "Ncm", "Nm"],
+    "RTDE": ["x", ",".join(map(str, GAINS))],
     "PlotJuggler": ["A", "1"],
 }
 
@@ -190,7 +190,8 @@ def test_terminal_is_asked(logged, request):
                 shown += part
         _, err = process.communicate()
     out = shown.decode()
-    assert out.count("Enter: unknown]") == len(ANSWERS[name]), out
+    assert out.count("]: ") == len(ANSWERS[name]), out
+    assert (" N m/A" in out) == (name != "no header")
     assert ("assumed" in out.partition("Verdict")[0]) == (name == "no header")
     assert process.returncode in (0, 3), err
     assert "Verdict" in out
@@ -203,9 +204,8 @@ def test_files_of_earlier_fit_are_kept(logged, capsys):
     content = Path("log.mcap").read_bytes()
     assert IDENTIFY.main(["fit", log, "arm.urdf"]) == 1
     assert capsys.readouterr().err == (
-        "robot-identify: log.mcap: already exists. Run `robot-identify fit log.mcap`, after "
-        "`robot-acquire import log.csv --robot log.robot.toml` for an edited map, or make all "
-        "files anew (--overwrite).\n"
+        "robot-identify: log.mcap: already exists. Run `robot-identify fit log.mcap`, or import "
+        "the log again (--overwrite).\n"
     )
     assert Path("log.mcap").read_bytes() == content
     again = identification.fit_log(log, "arm.urdf", method="wls", overwrite=True)

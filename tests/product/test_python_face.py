@@ -334,7 +334,8 @@ def figures_of(fit, *log):
     assert plot._repr_html_() == "".join(plot)
     content = html.unescape(plot.split('srcdoc="')[1].split('"')[0])
     figures = content.split("<figure")[1:]
-    assert repr(plot).startswith(f"{len(figures)} figures, ")
+    assert repr(plot).startswith(f"{len(figures)} figure")
+    assert str(plot) == repr(plot)
     assert Page(content).open == []
     return {
         re.search("<figcaption>([^<]*?)(: error [^<]*)?<", one)[1]: one.count('<path class="l ')

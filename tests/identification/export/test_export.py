@@ -546,7 +546,7 @@ def test_draws_load_with_their_own_torques(draws_of_tx40):
     first, last = (f"{folder}/x_{k}.mjcf" for k in ("01", "20"))
     assert f"{first} to {last}" in printed
     assert re.search(r"at a bound of physical consistency.*link 6", printed)
-    assert re.search(r"narrower than the interval.*XY6", printed)
+    assert re.search(r"spread below 90 % of the interval.*XY6", printed)
 
 
 def test_same_seed_draws_same_files(fits, tmp_path, capsys):
