@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from importlib import import_module
@@ -33,20 +33,17 @@ from typing import (
 )
 
 from ..errors import RobotIdimError, one_line
+from ..versions import version_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
 
-_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files"}  # of shtab, `FILE`
 STATUSES = (
     "exit status: 0 success; 1 error, in one line on standard error; 2 wrong usage; "
     "3 result that must not be trusted (fit, fleet, validate); 130 Ctrl-C"
 )
-# A word is suggested instead of another if they share this part of their letters.
-_ALIKE = 0.75
-DISTRIBUTION = "robot-idim"
 PACKAGES = (
     "numpy",
     "scipy",
@@ -179,7 +176,7 @@ class _Parser(argparse.ArgumentParser):
                 (choices, r"invalid choice: '([^']*)'", message),
             )
             for word in re.findall(pattern, text)
-            for x in get_close_matches(word, known, 1, _ALIKE)
+            for x in get_close_matches(word, known, n=1, cutoff=0.75)
         ]
         message = (
             f"{message.partition(' (choose')[0]}: did you mean {near[0]}?" if near else message
@@ -191,18 +188,10 @@ class _Versions(argparse.Action):
     """An action that prints versions, one per line, and exits."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import PackageNotFoundError, version
-
-        def of(package: str) -> str:
-            try:
-                return version(package)
-            except PackageNotFoundError:
-                return "not installed"
-
         print(
-            f"{parser.prog} {of(DISTRIBUTION)}",
+            f"{parser.prog} {version_of('robot-idim', 'not installed')}",
             f"Python {sys.version.split()[0]}",
-            *(f"{package} {of(package)}" for package in PACKAGES),
+            *(f"{package} {version_of(package, 'not installed')}" for package in PACKAGES),
             sep="\n",
         )
         parser.exit()
@@ -258,9 +247,11 @@ def add_path(
     parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any
 ) -> None:
     """Declare a file or a folder. The names of an option are separated by blanks."""
-    vars(parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how))[
-        "complete"
-    ] = _FILES
+    action = parser.add_argument(
+        *names.split(), type=Path, metavar=metavar, help=help or None, **how
+    )
+    # This is `FILE` of shtab.
+    vars(action)["complete"] = {"bash": "_shtab_compgen_files", "zsh": "_files"}
 
 
 def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:
@@ -336,10 +327,8 @@ class _Stream:
             self.error = error
             # Python flushes again at exit and would report the error, so the rest goes to
             # /dev/null. The stream of a test has no descriptor.
-            with suppress(OSError):
-                null = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(null, self.stream.fileno())
-                os.close(null)
+            with suppress(OSError), open(os.devnull, "w") as null:
+                os.dup2(null.fileno(), self.stream.fileno())
 
 
 def run_command(
@@ -400,14 +389,10 @@ def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
         except OSError:
             # This reserves the number, which the next opened file would get otherwise.
             os.open(os.devnull, os.O_RDWR)
-    before = sys.stdout, sys.stderr
-    with suppress(OSError):
-        null = open(os.devnull, "w")  # noqa: SIM115
-    out, err = _Stream(sys.stdout or null), _Stream(sys.stderr or null)
-    sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
-    try:
-        yield out, err
-    finally:
-        out.flush()
-        err.flush()
-        sys.stdout, sys.stderr = before
+    out, err = _Stream(sys.stdout or io.StringIO()), _Stream(sys.stderr or io.StringIO())
+    with redirect_stdout(cast(TextIO, out)), redirect_stderr(cast(TextIO, err)):
+        try:
+            yield out, err
+        finally:
+            out.flush()
+            err.flush()

@@ -29,6 +29,7 @@ from ..arrays import Array, Ints
 from ..errors import Location
 from ..files import BLOCK_ROWS
 from ..robot import EffortTiming, Payload, Robot
+from ..versions import version_of
 from .rows import (
     CAPTURE_TOPIC,
     FRAME,
@@ -124,15 +125,9 @@ def metadata_crc(metadata: Mapping[str, str]) -> str:
 
 
 def _software() -> str:
-    from importlib import metadata as packages
-
-    versions = [f"python {platform.python_version()}"]
-    for name in ("robot-idim", "numpy", "mcap", "rosbags"):
-        try:
-            versions.append(f"{name} {packages.version(name)}")
-        except packages.PackageNotFoundError:
-            versions.append(f"{name} (not installed as a package)")
-    return ", ".join(versions)
+    packages = ("robot-idim", "numpy", "mcap", "rosbags")
+    versions = (f"{name} {version_of(name, '(not installed as a package)')}" for name in packages)
+    return ", ".join([f"python {platform.python_version()}", *versions])
 
 
 class RecordingWriter(AbstractContextManager["RecordingWriter"]):
