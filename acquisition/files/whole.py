@@ -41,7 +41,6 @@ _BEGINNINGS = {
     # A comment of TOML begins in this way, too, so this comes last.
     "md": rb"# ",
 }
-_HEAD_BYTES = 1 << 20  # a long comment may be at the beginning
 
 
 def read_bytes(path: Path) -> bytes:
@@ -60,7 +59,8 @@ def kind_of(path: Path) -> str:
     """
     head = b""
     with suppress(OSError), path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+        # A long comment may be at the beginning.
+        head = file.read(1 << 20)
     return next(
         (kind for kind, begin in _BEGINNINGS.items() if re.match(begin, head)),
         "mcap" if path.suffix.lower() == ".mcap" else "",
@@ -174,10 +174,8 @@ def _refuse_other_kind(path: Path, kind: str) -> None:
 
 
 def _same(a: Path, b: Path) -> bool:
-    # This comparison also works for a loop of links, which cannot be opened.
-    if os.path.realpath(a) == os.path.realpath(b):
-        return True
-    # A missing file is reported when it is read.
-    with suppress(OSError):
-        return a.samefile(b)
-    return False
+    # The first comparison also works for a loop of links, which cannot be opened. A missing file is
+    # reported when it is read.
+    return os.path.realpath(a) == os.path.realpath(b) or (
+        os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
+    )
