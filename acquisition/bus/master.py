@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from .. import protocol as cia
-from ..errors import BusFaultError, NoAnswerError, RefusedError
+from ..errors import NoAnswerError, RefusedError
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from .frames import Frame, command_ids, sign_of_master
@@ -53,10 +53,7 @@ class NodeWatch:
     @property
     def state(self) -> cia.State | None:
         """State in the last statusword; None before the first, or if it is not a CiA 402 state."""
-        try:
-            return None if self.statusword is None else cia.state_of(self.statusword)
-        except BusFaultError:
-            return None
+        return None if self.statusword is None else cia.find_state(self.statusword)
 
 
 class Master:

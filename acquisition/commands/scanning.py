@@ -2,18 +2,16 @@
 
 import json
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
 
 from ..bus import Readings
-from ..errors import BusFaultError
 from ..protocol import (
     EFFORT_OBJECTS,
     NOT_VALID,
     PARAMETERS,
     RULES,
     TEXTS,
+    find_state,
     position_units_per_turn,
-    state_of,
 )
 from ..robot import FILL_IN, BusFile
 from .checking import Finding
@@ -97,10 +95,8 @@ def _words(readings: Readings, index: int, sub: int) -> str:
     if value is None:
         return f"{words} -" if "not exist" in problem else f"{words} ({problem})"
     words += f" 0x{value:X}" if index in _HEXADECIMAL else f" {value}"
-    if index == 0x6041:
-        # The bits may not be those of a state.
-        with suppress(BusFaultError):
-            words += f" {state_of(value).words}"
+    if index == 0x6041 and (state := find_state(value)) is not None:
+        words += f" {state.words}"
     if index == 0x6502:
         words += f" modes {', '.join(str(bit + 1) for bit in range(32) if value >> bit & 1)}"
     return f"{words} ({problem})" if problem else words

@@ -70,6 +70,7 @@ from .states import (
     command_of,
     error_frame_words,
     error_words,
+    find_state,
     notices,
     state_of,
     status_words,

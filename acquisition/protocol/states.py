@@ -84,6 +84,11 @@ AUTOMATIC: dict[State, State] = {
 DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}
 
 
+def find_state(statusword: int) -> State | None:
+    """Return the state in a statusword (6041h); None if the bits are not those of a state."""
+    return next((s for s in State if statusword & s.value[0] == s.value[1]), None)
+
+
 def state_of(statusword: int) -> State:
     """Return the state in a statusword (6041h).
 
@@ -91,10 +96,9 @@ def state_of(statusword: int) -> State:
     ------
     BusFaultError : the bits are not those of a state.
     """
-    for state in State:
-        if statusword & state.value[0] == state.value[1]:
-            return state
-    raise BusFaultError(f"statusword 0x{statusword:04X} is not a CiA 402 state")
+    if (state := find_state(statusword)) is None:
+        raise BusFaultError(f"statusword 0x{statusword:04X} is not a CiA 402 state")
+    return state
 
 
 def command_of(controlword: int) -> Command | None:
@@ -180,8 +184,6 @@ _LOCATIONS = {
 }
 # Values of either half of byte 4, with the class of the transceiver.
 _WIRE = {0x4: "no wire", 0x5: "short to battery", 0x6: "short to supply", 0x7: "short to ground"}
-_SHORT_TO_EACH_OTHER = 0x80  # of byte 4
-_COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
 def error_frame_words(can_id: int, data: bytes) -> str:
@@ -197,12 +199,13 @@ def error_frame_words(can_id: int, data: bytes) -> str:
         0x008: [words for bit, words in _PROTOCOL.items() if data[2] & bit]
         + ([f"in {_LOCATIONS[data[3]]}"] if data[3] in _LOCATIONS else []),
         0x010: [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
-        + (["CAN_L short to CAN_H"] if data[4] & 0xF0 == _SHORT_TO_EACH_OTHER else []),
+        + (["CAN_L short to CAN_H"] if data[4] & 0xF0 == 0x80 else []),
     }
-    counted = f"{data[6]} transmit errors and {data[7]} receive errors counted"
+    # The last class shows that bytes 6 and 7 hold the controller's error counters.
+    counted = {0x200: f"{data[6]} transmit errors and {data[7]} receive errors counted"}
     parts = [
         f"{words}: {', '.join(details[bit])}" if details.get(bit) else words
-        for bit, words in (_CLASSES | {_COUNTERS: counted}).items()
+        for bit, words in (_CLASSES | counted).items()
         if can_id & bit
     ]
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
@@ -265,13 +268,12 @@ _CODES = {
 
 def status_words(statusword: int) -> str:
     """Describe the state in a statusword, and its other bits that differ from normal operation."""
-    try:
-        words = [state_of(statusword).words]
-    except BusFaultError:
-        words = [f"statusword 0x{statusword:04X}, which is not a CiA 402 state"]
+    state = find_state(statusword)
     return ", ".join(
         [
-            *words,
+            state.words
+            if state
+            else f"statusword 0x{statusword:04X}, which is not a CiA 402 state",
             *notices(statusword),
             *(text for bit, text in _CLEAR.items() if not statusword & bit),
         ]
