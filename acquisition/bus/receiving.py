@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ _CAN_FRAME = np.dtype(
     [("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))]
 )
 _FD_BYTES = 72  # of a frame of CAN FD, which begins as a classic one
-_TIMESPEC_BYTES = 16
+_ANCILLARY_BYTES = socket.CMSG_SPACE(16)  # of a timespec
 
 
 class Receiver:
@@ -48,44 +49,43 @@ class Receiver:
         An error of the bus ends it and is stored in `error`.
         """
         try:
-            if self._raw is None:
-                self._run_messages()
-            else:
-                self._run_raw(self._raw)
+            receive = self._receive_message
+            if self._raw is not None:
+                self._raw.setblocking(True)
+                self._raw.setsockopt(
+                    socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, 100_000)
+                )
+                receive = partial(self._receive_raw, self._raw)
+            while not self.stopped:
+                receive(0.1)
+            until_s = time.monotonic() + self.DRAIN_S
+            while time.monotonic() < until_s and receive(0.0):
+                pass
         # Any error ends the thread, so the reader of `error` must see it.
         except Exception as error:
             self.error = str(error) or type(error).__name__
 
-    def _run_raw(self, sock: socket.socket) -> None:
-        sock.setblocking(True)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, 100_000))
-        size, receive = socket.CMSG_SPACE(_TIMESPEC_BYTES), sock.recvmsg
-        while not self.stopped:
-            with suppress(BlockingIOError, InterruptedError):
-                self._items.append(receive(_FD_BYTES, size)[:3])
-        until_s = time.monotonic() + self.DRAIN_S
-        # It is raised when the queue is empty.
-        with suppress(BlockingIOError):
-            while time.monotonic() < until_s:
-                self._items.append(receive(_FD_BYTES, size, socket.MSG_DONTWAIT)[:3])
+    def _receive_raw(self, sock: socket.socket, timeout_s: float) -> bool:
+        """Receive as `_receive_message`; any timeout but 0 is that of the socket."""
+        with suppress(BlockingIOError, InterruptedError):
+            flags = 0 if timeout_s else socket.MSG_DONTWAIT
+            self._items.append(sock.recvmsg(_FD_BYTES, _ANCILLARY_BYTES, flags)[:3])
+            return True
+        return False
 
-    def _run_messages(self) -> None:
+    def _receive_message(self, timeout_s: float) -> bool:
+        """Receive once; return False if nothing came within `timeout_s`."""
         import can
 
-        until_s = None
-        while until_s is None or time.monotonic() < until_s:
-            if self.stopped and until_s is None:
-                until_s = time.monotonic() + self.DRAIN_S
-            try:
-                message = self._bus.recv(0.1 if until_s is None else 0.0)
-            except can.CanOperationError as error:
-                if not is_no_frame(self._bus, error):
-                    raise
-                continue
-            if message is not None:
-                self._items.append(message)
-            elif until_s is not None:
-                return
+        try:
+            message = self._bus.recv(timeout_s)
+        except can.CanOperationError as error:
+            if not is_no_frame(self._bus, error):
+                raise
+            return True
+        if message is not None:
+            self._items.append(message)
+        return message is not None
 
     def take(self) -> Block:
         """Return the frames received since the last call, in order."""
