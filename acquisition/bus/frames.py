@@ -11,7 +11,6 @@ from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Bl
 from ..robot import Bus
 
 ROW = struct.Struct("<qIBB8s")  # of `FRAME`
-_MAX_BASE_ID = 0x7FF  # of 11 bits
 
 
 class Frame(NamedTuple):
@@ -45,7 +44,7 @@ def block_of(frames: Iterable[Frame]) -> Block:
 
 def frame_of(message: Any) -> Frame:
     """Convert a message of python-can to a frame."""
-    extended = message.is_extended_id or message.arbitration_id > _MAX_BASE_ID
+    extended = message.is_extended_id or message.arbitration_id > 0x7FF
     return Frame(
         round(message.timestamp * 1e9),
         message.arbitration_id,

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from ..errors import BusFaultError, RefusedError
-from ..recording import SENT
+from ..recording import CAN_FD, SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
 
@@ -342,16 +342,15 @@ class Link:
                 raise BusFaultError(f"reading failed: {error}", place="bus") from error
             if message is None:
                 return None
-            if getattr(message, "is_fd", False):
-                self._tap(frame_of(message))
-                continue
-            sent = (message.arbitration_id, bytes(message.data))
-            if sent not in self._own or (message.is_rx and not is_group(self._bus)):
-                break
-            self._own.remove(sent)
-        frame = frame_of(message)
-        self._tap(frame)
-        return frame
+            frame = frame_of(message)
+            sent = (frame.can_id, frame.data)
+            if frame.flags & CAN_FD:
+                self._tap(frame)
+            elif sent in self._own and (is_group(self._bus) or not message.is_rx):
+                self._own.remove(sent)
+            else:
+                self._tap(frame)
+                return frame
 
     def close(self) -> None:
         """Close the bus, even if it has failed."""
