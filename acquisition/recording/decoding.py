@@ -27,12 +27,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from ..arrays import Array, Bools, Ints
-from ..errors import Location
+from ..errors import Location, holding
 from ..files import kept
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import Answers, associate
-from .rows import SENT, Block, Rows, Traffic, joint_samples, unwrap
+from .rows import SENT, Block, Rows, Traffic, joint_samples, wraps_of
 from .sync_grid import (
     Syncs,
     SyncTimes,
@@ -306,7 +306,7 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
     """Yield warnings about position counters that wrapped."""
     for drive in bus.drives:
         position = _integers(traffic, rows_of, drive, drive.position)
-        if len(wraps := unwrap(position, drive.position.bits)[1]):
+        if len(wraps := wraps_of(position, drive.position.bits)):
             yield (
                 f"{drive.name}: the position counter wrapped {len(wraps)} times, first at "
                 f"{(stamps[wraps[0]] - stamps[0]) * 1e-9:.4g} s: positions continue across it"
@@ -375,7 +375,7 @@ def _warnings(
     longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])] if pauses else 0
     missing = int(answered[-1] - answered[0] + 1 - len(answered))
     at_ends = len(clock.stamps) - int(answered[-1] - answered[0] + 1)
-    found = {
+    notes = {
         f"SYNC came every {clock.period_s * 1e3:.4g} ms, not every {nominal_s * 1e3:g} ms as "
         "in robot.toml: correct sync_period_s": abs(clock.period_s / nominal_s - 1) > 0.01,
         f"SYNC paused {pauses} times for more than 1.5 periods, the longest for "
@@ -395,7 +395,7 @@ def _warnings(
             "forward"
             for k, by_s in clock.set_back
         ),
-        *(text for text, holds in found.items() if holds),
+        *holding(notes),
         *(
             f"{name}: {losses} of {count['received']} received"
             for name, count in counts.items()

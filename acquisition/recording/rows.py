@@ -29,8 +29,6 @@ EXTENDED = 2  # 29-bit identifier
 ERROR = 4
 REMOTE_REQUEST = 8
 CAN_FD = 16  # the recorder counts these frames, but does not record them
-_DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
-_NO_ID = 0xFFFF  # identifier of frames that CANopen does not use
 _AT_ONCE = 100_000  # rows in memory at once; all others may be on disk
 # The rows of one PDO are spread over many more frames, so fewer are in memory at once.
 _TAKEN = 20_000
@@ -163,7 +161,7 @@ class Traffic:
         self.frames = frames
         self.ids: NDArray[np.uint16] = by_rows(
             lambda x: np.where(
-                x["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST), _NO_ID, x["can_id"]
+                x["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST), 0xFFFF, x["can_id"]
             ).astype(np.uint16),
             frames,
         )
@@ -188,12 +186,12 @@ class Traffic:
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
         """Extract the integers of one object from the frames `rows`."""
         # A strided field over the rows in place is three times as fast as copying the bytes of each
-        # frame.
+        # frame, which are the last 8 of its row.
         only = np.dtype(
             {
                 "names": ["value"],
                 "formats": [f"<{entry.type[0].lower()}{entry.bits // 8}"],
-                "offsets": [_DATA_AT + pdo.offset(entry.index, entry.sub)],
+                "offsets": [FRAME.itemsize - 8 + pdo.offset(entry.index, entry.sub)],
                 "itemsize": FRAME.itemsize,
             }
         )
@@ -266,18 +264,12 @@ def _mapping_rows(traffic: Traffic) -> Rows:
     return kept(rows[np.select(kinds, starts, sdo)])
 
 
-def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Return counts without the wraps of a counter of `bits`, and the rows at which it wraps.
+def wraps_of(counts: Ints, bits: int) -> Ints:
+    """Return the rows at which a counter of `bits` wraps, as `np.unwrap` finds them.
 
     A step of more than half its range is a wrap.
     """
-    steps = np.diff(counts)
-    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
-    if not len(wraps):
-        return counts, wraps
-    turns = np.zeros(len(counts), np.int64)
-    turns[wraps + 1] = -np.sign(steps[wraps])
-    return counts + (np.cumsum(turns) << bits), wraps + 1
+    return np.flatnonzero(np.abs(np.diff(counts)) > 1 << (bits - 1)) + 1
 
 
 def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
@@ -302,7 +294,9 @@ def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Bloc
         for i, drive in enumerate(bus.drives):
             position = rows["position"][:, i]
             before, by = last[i] if i < len(last) else (int(position[0]), 0)
-            counts = unwrap(np.concatenate([[before], position]), drive.position.bits)[0][1:] + by
+            counts = (
+                np.unwrap(np.insert(position, 0, before), period=1 << drive.position.bits)[1:] + by
+            )
             last[i : i + 1] = [(int(position[-1]), int(counts[-1] - position[-1]))]
             motor[0, :, i] = drive.position_codec.si(counts)
             motor[1, :, i] = drive.effort.si(rows["effort"][:, i])
