@@ -82,11 +82,11 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
     BadInputError : the log cannot be read or is damaged, or a recording cannot contain a time, an
         identifier or the data. The place has the file and the frame or line (from 1).
     """
-    if path.suffix.lower() not in SUFFIXES:
-        Location(str(path)).refuse(
-            text=f"the suffix {path.suffix!r} is unknown",
-            expected=".log (candump), .asc, .blf or .trc",
-        )
+    Location(str(path)).require(
+        path.suffix.lower() in SUFFIXES,
+        text=f"the suffix {path.suffix!r} is unknown",
+        expected=".log (candump), .asc, .blf or .trc",
+    )
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
     waiting = defaultdict[str, bytearray](bytearray)
     reader = _read_candump if path.suffix.lower() == ".log" else _read_others

@@ -217,10 +217,9 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
             text=f"the CAN channel {channel!r} has an invalid name",
             expected="letters, digits and _ . -",
         )
-        if block.dtype != FRAME:
-            Location(f"{self._place}: {topic}").refuse(
-                text=f"the rows have the type {block.dtype}", expected=str(FRAME)
-            )
+        Location(f"{self._place}: {topic}").require(
+            block.dtype == FRAME, text=f"the rows have the type {block.dtype}", expected=str(FRAME)
+        )
         check_frames(block, f"{self._place}: {topic}")
         for some in in_parts(block):
             tenths = np.flatnonzero(np.diff(some["time_ns"] // 100_000_000)) + 1
