@@ -103,8 +103,7 @@ STANDARD = {
         ),
     }.items()
     for index in indices
-}
-STANDARD |= {
+} | {
     (INTERPOLATION_PERIOD, 1): "U8",
     (INTERPOLATION_PERIOD, 2): "I8",
     (POSITION_LIMITS, 1): "I32",

@@ -11,7 +11,6 @@ from ..robot import Drive, axis_of, parse_homed
 
 # State in heartbeats after an NMT command: operational, stopped, pre-operational.
 NMT_STATE = {1: 5, 2: 4, 128: 127}
-RESET = (129, 130)
 # A drive without a dictionary monitors at most so many heartbeats.
 CONSUMERS = 2
 
@@ -87,7 +86,8 @@ class SimulatedNode:
         """Return the answers to a frame other than SYNC."""
         node = self.drive.node
         if can_id == 0 and len(data) >= 2 and data[1] in (0, node):
-            if data[0] in RESET:
+            # These commands reset the node, or its communication.
+            if data[0] in (129, 130):
                 return self.boot()
             if data[0] in NMT_STATE:
                 self.nmt = NMT_STATE[data[0]]
@@ -358,7 +358,9 @@ class Supervision:
 
         It starts the consumers of its producer (CiA 301, 7.2.8.3.3).
         """
-        for sub, entry in self._entries().items():
+        values = self._node.values
+        for sub in range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1):
+            entry = values.get((cia.CONSUMER_HEARTBEAT, sub), 0)
             if entry >> 16 == producer and entry & 0xFFFF:
                 self._heard[sub] = (entry, now_ns)
 
@@ -382,14 +384,6 @@ class Supervision:
     def _sync_lost_ns(self) -> int | None:
         supervised = self._watches_sync and self._node.state not in cia.DISABLED
         return None if self.sync_ns is None or not supervised else self.sync_ns + SYNC_LOST_NS
-
-    def _entries(self) -> dict[int, int]:
-        values = self._node.values
-        return {
-            sub: values[cia.CONSUMER_HEARTBEAT, sub]
-            for sub in range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1)
-            if (cia.CONSUMER_HEARTBEAT, sub) in values
-        }
 
     def _deadlines(self) -> dict[int, int]:
         """Return the time at which each consumer times out, by sub-index.
