@@ -30,8 +30,6 @@ from .frames import ROW, Frame, frame_of
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
 MAX_PAYLOAD, MAX_CAN_ID = 8, 0x1FFFFFFF  # bytes of classic CAN, identifier of 29 bits
-# Rows are written together once there are so many bytes, because a log may exceed the memory.
-_AT_ONCE = 2**16
 _CUT = "truncated last line"
 # Number in the file of the channel that python-can calls 0.
 _FIRST_CHANNEL = {".asc": 1, ".blf": 1, ".trc": 0}
@@ -88,7 +86,6 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
         expected=".log (candump), .asc, .blf or .trc",
     )
     left_out, stored = Counter[str](), defaultdict[str, GrowingBytes](GrowingBytes)
-    waiting = defaultdict[str, bytearray](bytearray)
     reader = _read_candump if path.suffix.lower() == ".log" else _read_others
     try:
         for number, (interface, frame) in enumerate(reader(path, left_out), 1):
@@ -96,17 +93,13 @@ def read_log(path: Path) -> tuple[Mapping[str, Block], Mapping[str, int]]:
             if flags & CAN_FD:
                 left_out["of CAN FD"] += 1
             elif 0 <= time_ns <= MAX_STAMP_NS and can_id <= MAX_CAN_ID and len(data) <= MAX_PAYLOAD:
-                waiting[interface] += ROW.pack(time_ns, can_id, len(data), flags, data)
-                if len(waiting[interface]) > _AT_ONCE:
-                    stored[interface].write(waiting.pop(interface))
+                stored[interface].write(ROW.pack(time_ns, can_id, len(data), flags, data))
             else:
                 Location(f"{path}: frame {number}").refuse(
                     text=f"the frame has time {time_ns / 1e9:.10g} s, identifier 0x{can_id:X} and "
                     f"{len(data)} bytes",
                     expected=f"0 to {MAX_STAMP_NS * 1e-9:.10g} s, at most 29 bits and 8 bytes",
                 )
-        for interface, rows in waiting.items():
-            stored[interface].write(rows)
     except OSError as error:
         raise BadInputError(
             f"the log cannot be read: {error.strerror or error}", place=str(path)

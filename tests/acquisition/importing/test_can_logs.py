@@ -397,7 +397,6 @@ def test_large_logs_use_temporary_files(tmp_path, monkeypatch, which):
     whole, _ = imported(tmp_path / "a.log", text)
     monkeypatch.setattr("acquisition.files.on_disk.MAX_BYTES_IN_MEMORY", 100)
     monkeypatch.setattr("acquisition.files.on_disk.BLOCK_ROWS", 7)
-    monkeypatch.setattr("acquisition.bus.logs._AT_ONCE", 100)
     parts, _ = imported(tmp_path / "b.log", text)
     assert parts.samples.tobytes() == whole.samples.tobytes()
     assert parts.frames["log"].tobytes() == whole.frames["log"].tobytes()
