@@ -25,10 +25,6 @@ TOLERANCE, NO_LIMIT = 0.01, 2**32 - 1
 # If range and speed of a drive are the same multiple of the limits at the motor, the ratio is
 # probably wrong. This is the smallest multiple, and the largest difference between the two.
 MIN_MULTIPLE, MULTIPLES_DIFFER = 2.0, 0.1
-LIMITS = (
-    *((cia.POSITION_LIMITS, 1), (cia.POSITION_LIMITS, 2), (cia.HOME_OFFSET, 0)),
-    *((cia.GEAR, 1), (cia.GEAR, 2), (cia.MAX_RPM, 0), (cia.VELOCITY_UNIT, 0)),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,14 +206,16 @@ def _need(
     """
     keys = dict.fromkeys(write[:2] for write in writes)
     refused = [
-        f"{_name(key)}: {answer.meaning} (0x{answer.code:08X})"
-        for key, answer in answers.items()
-        if not isinstance(answer, int) and not (key in keys and answer.code in UNREADABLE)
-    ]
-    refused += [
-        f"{_name(key)} differs, and its dictionary says that it is read-only"
-        for key in keys
-        if key in drive.entries and not drive.entries[key].writable
+        *(
+            f"{_name(key)}: {answer.meaning} (0x{answer.code:08X})"
+            for key, answer in answers.items()
+            if not isinstance(answer, int) and not (key in keys and answer.code in UNREADABLE)
+        ),
+        *(
+            f"{_name(key)} differs, and its dictionary says that it is read-only"
+            for key in keys
+            if key in drive.entries and not drive.entries[key].writable
+        ),
     ]
     return Need(
         drive=drive,
@@ -324,7 +322,11 @@ def _limits(master: Master, drive: Drive) -> Iterator[Need]:
     """
     axis, ratio = axis_of(drive), drive.motion.ratio or 0.0
     low, high, home, turns, shaft, rpm, unit = (
-        read_if_there(master, drive, index + axis, sub) or 0 for index, sub in LIMITS
+        read_if_there(master, drive, index + axis, sub) or 0
+        for index, sub in (
+            *((cia.POSITION_LIMITS, 1), (cia.POSITION_LIMITS, 2), (cia.HOME_OFFSET, 0)),
+            *((cia.GEAR, 1), (cia.GEAR, 2), (cia.MAX_RPM, 0), (cia.VELOCITY_UNIT, 0)),
+        )
     )
     low, high = cia.signed(low, 32), cia.signed(high, 32)
     least, most = drive.motion.position or (0.0, 0.0)

@@ -33,14 +33,11 @@ def stay_on_loopback(bus: Any, file: BusFile) -> None:
         # The group is an IPv6 group, for which the hop limit keeps frames here.
         return
     here = socket.inet_aton("127.0.0.1")
-    try:
+    # The second option fails if the group uses the loopback interface already, and the third if the
+    # group was not joined on another interface. Neither does harm.
+    with suppress(OSError):
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + here)
-    except OSError:
-        # The group uses the loopback interface already.
-        return
-    # It fails if the group was not joined on another interface, which does no harm.
-    with suppress(OSError):
         sock.setsockopt(
             socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4)
         )

@@ -90,8 +90,6 @@ class Receiver:
     def take(self) -> Block:
         """Return the frames received since the last call, in order."""
         items = [self._items.popleft() for _ in range(len(self._items))]
-        if not items:
-            return np.zeros(0, FRAME)
         return _block_of_raw(items) if self._raw is not None else block_of(map(frame_of, items))
 
 

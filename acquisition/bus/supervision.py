@@ -12,17 +12,13 @@ from ..robot import BusFile, Drive, axis_of
 from .links import SHARED
 from .master import OPERATIONAL, Master
 
-HEARTBEATS_PER_TIMEOUT = 3
-
 
 def timeout_ms(file: BusFile) -> int:
     """Return the time without a heartbeat after which a drive reacts, ms.
 
     It is three heartbeat intervals or three SYNC periods, whichever is longer.
     """
-    return math.ceil(
-        round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6)
-    )
+    return math.ceil(round(3 * max(file.heartbeat_s, file.sync_period_s) * 1000, 6))
 
 
 def entry_of(file: BusFile) -> int:
