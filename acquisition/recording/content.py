@@ -32,7 +32,6 @@ from .rows import CAPTURE_TOPIC
 from .writer import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc
 
 _MAGIC = b"\x89MCAP0\r\n"
-_IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 # The most bytes of a chunk, which is written at about 1 MiB, and of all chunks unpacked. Larger
 # sizes are hostile or damaged.
@@ -114,7 +113,7 @@ def _read(records: "_Records", path: Path) -> tuple["Content", bool, str]:
     if records.first != _MAGIC:
         ending, kind = path.suffix.lower(), kind_of(path).replace("mcap", "")
         place.require(
-            ending not in _IMPORTED,
+            ending not in (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3"),
             text=f"this is a {ending[1:].upper()} file, not a recording",
             advice=f"Import it first: `robot-acquire import {path} --robot ROBOT.toml`, or by "
             f"`robot-identify fit {path} ROBOT.urdf`",

@@ -51,8 +51,6 @@ FIRST_DATE_NS = 946_684_800 * 10**9
 # Earlier versions recorded values of further objects of the drives at the end of a row.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-HISTORY_SYNCS = 2 * MAX_RUN_SYNCS  # decoded again before the next row
-MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
@@ -375,8 +373,10 @@ class RecordingFollower:
         sync_ns = self._frames["time_ns"][sync_rows]
         half_ns = 0.5e9 * self._file.sync_period_s
         shown_ns = -1 if self._last is None else int(self._last["stamp_ns"])
+        # The SYNCs before the last row are decoded again. Without a row, old frames are dropped.
         first = max(
-            int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS
+            int(np.searchsorted(sync_ns, shown_ns)) - 2 * MAX_RUN_SYNCS,
+            len(sync_ns) - 8 * MAX_RUN_SYNCS,
         )
         if self._bus is None:
             # The master may not have mapped all drives yet.

@@ -26,15 +26,15 @@ def overview(recording: Recording) -> dict[str, Any]:
     `attachments` the sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
-    joints: list[dict[str, Any]] = []
     spans = {
         channel: _ranges(block, "time_ns")[0]
         for channel, block in recording.frames.items()
         if len(block)
     }
-    first_ns = min((int(first) for first, _ in spans.values()), default=None)
-    if samples is not None:
-        joints = [
+    joints: list[dict[str, Any]] = (
+        []
+        if samples is None
+        else [
             {
                 "name": joint.name,
                 "position_unit": joint.position_unit,
@@ -50,7 +50,12 @@ def overview(recording: Recording) -> dict[str, Any]:
                 strict=True,
             )
         ]
-        first_ns = int(samples["stamp_ns"][0])
+    )
+    first_ns = (
+        min((int(first) for first, _ in spans.values()), default=None)
+        if samples is None
+        else int(samples["stamp_ns"][0])
+    )
     return {
         "robot": robot.name,
         **{key: metadata.get(key, "") for key in ("source", "created", "software")},

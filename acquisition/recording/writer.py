@@ -53,7 +53,6 @@ SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
 JOINT_STATE = "sensor_msgs/msg/JointState"
-JOINT_STATE_RATE_HZ = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,7 +150,8 @@ class RecordingWriter(AbstractContextManager["RecordingWriter"]):
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
-        self._step = max(1, math.ceil(header.sample_rate_hz / JOINT_STATE_RATE_HZ - 1e-9))
+        # Viewers get at most 100 JointStates per second.
+        self._step = max(1, math.ceil(header.sample_rate_hz / 100.0 - 1e-9))
         self._until_joint_state = 0
         self._channels: dict[str, int] = {}
         self._file = path.open("wb")
