@@ -341,12 +341,12 @@ def _part(value: Any, match: re.Match[str], place: Location) -> tuple[Array, boo
         or np.squeeze(value).ndim > 2
     ):
         kind = (
-            f"{value.dtype} of shape {value.shape}"
-            if isinstance(value, np.ndarray)
-            else type(value).__name__
+            type(value).__name__
+            if not isinstance(value, np.ndarray)
+            else f"a struct or object with the fields {listed(value.dtype.names)}"
+            if value.dtype.names
+            else f"{value.dtype} of shape {value.shape}"
         )
-        if isinstance(value, np.ndarray) and value.dtype.names:
-            kind = f"a struct or object with the fields {listed(value.dtype.names)}"
         place.refuse(
             text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers"
         )
