@@ -15,7 +15,6 @@ from .. import recording
 from ..errors import BadInputError, Location
 from ..robot import Bus, Payload, Robot, resolve
 
-FLUSH_S = 0.5
 # With less free space on the disk, the session ends.
 MIN_FREE_BYTES = 100 * 2**20
 
@@ -163,7 +162,7 @@ class Recorder:
         if self._flushed_ns is None:
             self._flushed_ns = stamp_ns
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
-        if 0 <= elapsed_s < FLUSH_S and not now:
+        if 0 <= elapsed_s < 0.5 and not now:
             return None
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, recording.FRAME)
         self._recent = []

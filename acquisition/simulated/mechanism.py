@@ -17,9 +17,6 @@ from ..errors import Location
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
-# Typical gravity load of a horizontal joint of an industrial arm, as a share of its rated effort.
-TYPICAL_LOAD = 0.3
-
 
 class Plant(Protocol):
     """A mechanism of n joints. All quantities are those of the joints.
@@ -91,7 +88,7 @@ class JointwisePlant:
 
 
 def typical_plant(
-    robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD
+    robot: Robot, rated_motor_effort: Array, load_share: float = 0.3
 ) -> JointwisePlant:
     """Return independent joints that suit the drives, in the middle of their range.
 
@@ -99,7 +96,8 @@ def typical_plant(
     ----------
     robot : the robot, with its limits.
     rated_motor_effort : (n,) rated efforts of the motors.
-    load_share : load of a horizontal joint, as a share of its rated effort.
+    load_share : load of a horizontal joint, as a share of its rated effort; the default is typical
+        of gravity on an industrial arm.
     """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])

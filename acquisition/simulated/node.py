@@ -255,11 +255,12 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         read_only = frozenset(key for key, entry in entries.items() if not entry.writable)
         values |= {(cia.IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         # PDOs are disabled at the start, because the master enables those that it uses.
-        for (index, sub), value in list(values.items()):
-            if sub == 1 and any(
-                first <= index < first + cia.MAX_PDOS for first, _ in cia.PARAMETERS.values()
-            ):
-                values[index, sub] = value | cia.NOT_VALID
+        values |= {
+            (index, sub): value | cia.NOT_VALID
+            for (index, sub), value in values.items()
+            for first, _ in cia.PARAMETERS.values()
+            if sub == 1 and first <= index < first + cia.MAX_PDOS
+        }
     else:
         types = (
             dict(cia.STANDARD)
@@ -311,7 +312,6 @@ def simulated_node(drive: Drive) -> SimulatedNode:
 
 # An enabled drive goes into fault after so long without SYNC, as real drives are set to do.
 SYNC_LOST_NS = 100_000_000
-SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
 # New state of an enabled drive that loses the master, by the option code 6007h. Option 1, fault, is
@@ -331,8 +331,9 @@ class Supervision:
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
         self._node, self._watches_sync = node, supervised
         if not supervised:
-            for key in [key for key in node.values if key[0] == cia.CONSUMER_HEARTBEAT]:
-                del node.values[key]
+            node.values = {
+                key: value for key, value in node.values.items() if key[0] != cia.CONSUMER_HEARTBEAT
+            }
             node.values[cia.ABORT_CONNECTION, 0] = 0
             node.initial = dict(node.values)
             window = NO_WINDOW
@@ -372,12 +373,11 @@ class Supervision:
     def advance(self, now_ns: int) -> Sent:
         """React to lost heartbeats and lost SYNC, and return the emergency messages."""
         lost = [sub for sub, deadline in self._deadlines().items() if now_ns >= deadline]
-        for sub in lost:
-            # Monitoring starts again at the next heartbeat.
-            del self._heard[sub]
+        # Monitoring starts again at the next heartbeat.
+        self._heard = {sub: heard for sub, heard in self._heard.items() if sub not in lost}
         sent = self._react_to_lost_heartbeat() if lost else []
         if self._sync_lost_ns is not None and now_ns >= self._sync_lost_ns:
-            sent += self._fault(SYNC_LOST_CODE)
+            sent += self._fault(0x8700)  # CiA 301: sync controller
         return sent
 
     @property
