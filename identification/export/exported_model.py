@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.errors import Location
+
 from .. import model as dynamics
 from ..arrays import Array
-from ..errors import BadInputError
 
 MIN_EIGENVALUE = 1e-12  # of the scaled pseudo-inertia of a rigid body
 STATES, SEED = 1000, 11  # random states
@@ -67,25 +68,23 @@ def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> Ex
         energy. Simulators do not check this.
     """
     for j, link in enumerate(chi[dynamics.link_columns(model)]):
-        if not dynamics.is_a_body(link, MIN_EIGENVALUE):
-            raise BadInputError(
-                "its inertia is not that of a rigid body with positive mass density",
-                place=place,
-                key=f"link {j + 1}, of joint {model.robot.joints[j].name}",
-                advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
-            )
+        Location(place).require(
+            dynamics.is_a_body(link, MIN_EIGENVALUE),
+            f"link {j + 1}, of joint {model.robot.joints[j].name}",
+            text="its inertia is not that of a rigid body with positive mass density",
+            advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
+        )
     for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
-        if lowest < -MIN_EIGENVALUE:
-            raise BadInputError(
-                "it generates energy, which simulators do not check",
-                place=place,
-                key=text,
-                value=lowest,
-                shown=f"{lowest:.4g} {first.unit}",
-                expected="0 or greater",
-                advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
-            )
+        Location(place).require(
+            not lowest < -MIN_EIGENVALUE,
+            text,
+            lowest,
+            "0 or greater",
+            text="it generates energy, which simulators do not check",
+            shown=f"{lowest:.4g} {first.unit}",
+            advice="Fit again: `robot-identify fit --consistent RECORDING.mcap`",
+        )
     return _of_axes(model, chi)
 
 

@@ -392,24 +392,24 @@ def _refuse_malformed_numbers(root: ET.Element, place: str) -> None:
     for owner, (path, keys, count) in product(root, _NUMBERS):
         needed = count == 1 and owner.find("inertial") is not None
         for part, key in product(owner.findall(path) or [ET.Element(path)] * needed, keys):
-            if not re.fullmatch(_FINITE * count, " " + part.get(key, "" if needed else "0 0 0")):
-                raise BadInputError(
-                    place=f"{place}: {owner.tag} {owner.get('name')!r}",
-                    key=f"{path.replace('/', ' ')} {key}",
-                    value=part.get(key),
-                    expected="a finite number" if needed else "three finite numbers",
-                )
+            Location(f"{place}: {owner.tag} {owner.get('name')!r}").require(
+                re.fullmatch(_FINITE * count, " " + part.get(key, "" if needed else "0 0 0")),
+                f"{path.replace('/', ' ')} {key}",
+                part.get(key),
+                "a finite number" if needed else "three finite numbers",
+            )
 
 
 def _make_buildable(joint: ET.Element, place: str) -> None:
     """Change a joint so that pinocchio can build it: with an axis and very wide limits."""
     axis = joint.find("axis") if joint.get("type") != "floating" else None
-    if axis is not None and not any(float(x) for x in axis.get("xyz", "1").split()):
-        # Exporters write a zero axis for floating joints, where it does not matter.
-        place = f"{place}: joint {joint.get('name')!r}"
-        raise BadInputError(
-            place=place, key="axis", value="0 0 0", expected="a vector other than zero"
-        )
+    # Exporters write a zero axis for floating joints, where it does not matter.
+    Location(f"{place}: joint {joint.get('name')!r}").require(
+        axis is None or any(float(x) for x in axis.get("xyz", "1").split()),
+        "axis",
+        "0 0 0",
+        "a vector other than zero",
+    )
     # Pinocchio uses two coordinates for a continuous joint.
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")

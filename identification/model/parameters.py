@@ -28,11 +28,10 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from acquisition.errors import Location, listed
+from acquisition.errors import COMMAND_LINE, Location, listed
 from acquisition.robot import Payload
 
 from ..arrays import Array, Bools, Ints
-from ..errors import BadInputError
 from ..estimation import link_parameters, pseudo_inertia
 from ..report import is_load
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel, link_columns
@@ -279,10 +278,9 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
     BadInputError : the mass is unknown, or the frame is not a fixed link that the last joint
         carries.
     """
-    if payload.mass_kg is None:
-        raise BadInputError(
-            "has no mass", key="payload", value=str(payload), advice="Give its mass in kg"
-        )
+    mass_kg = COMMAND_LINE.given(
+        payload.mass_kg, "payload", str(payload), text="has no mass", advice="Give its mass in kg"
+    )
     placement = pin.SE3.Identity()
     if payload.frame is not None:
         links = {
@@ -290,18 +288,17 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
             for frame in model.model.frames
             if frame.parentJoint == model.robot.n and frame.type == pin.FrameType.BODY
         }
-        if payload.frame not in links:
-            raise BadInputError(
-                place=f"robot {model.robot.name}",
-                key="payload.frame",
-                value=payload.frame,
-                expected=f"a link on joint {model.robot.joints[-1].name}: {listed([*links])}",
-            )
+        Location(f"robot {model.robot.name}").require(
+            payload.frame in links,
+            "payload.frame",
+            payload.frame,
+            f"a link on joint {model.robot.joints[-1].name}: {listed([*links])}",
+        )
         placement = links[payload.frame]
     body = pin.Inertia(
-        payload.mass_kg,
+        mass_kg,
         np.array(payload.center_of_mass_m or (0.0, 0.0, 0.0)),
-        0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3),
+        0.4 * mass_kg * BALL_RADIUS_M**2 * np.eye(3),
     )
     return np.asarray(placement.act(body).toDynamicParameters())[list(FROM_PINOCCHIO)]
 
@@ -351,25 +348,23 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     T must not depend on the position.
     """
     joints, others = idm.robot.joints, prior.robot.joints
-    if [j.type for j in joints] != [j.type for j in others]:
-        raise BadInputError(
-            place=f"prior {prior.robot.name}",
-            key="joints",
-            value=", ".join(j.type for j in others),
-            expected=", ".join(j.type for j in joints),
-        )
+    Location(f"prior {prior.robot.name}").require(
+        [j.type for j in joints] == [j.type for j in others],
+        "joints",
+        ", ".join(j.type for j in others),
+        ", ".join(j.type for j in joints),
+    )
     q = np.random.default_rng(POSES_SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
     back, T = turned.transpose(0, 1, 3, 2), np.zeros((POSES, idm.robot.n, 4, 4))
     T[..., :3, :3], T[..., 3, 3] = back @ turned_prior, 1.0
     T[..., :3, 3] = np.einsum("knij,knj->kni", back, at_prior - at)
     differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE
-    if differs.any():
-        raise BadInputError(
-            "its link moves differently from that of the fit",
-            place=f"prior {prior.robot.name}",
-            key="joint",
-            value=others[int(differs.argmax())].name,
-            advice="Use the same base frame, axes, lengths and zeros",
-        )
+    Location(f"prior {prior.robot.name}").require(
+        not differs.any(),
+        "joint",
+        others[int(differs.argmax())].name,
+        text="its link moves differently from that of the fit",
+        advice="Use the same base frame, axes, lengths and zeros",
+    )
     return np.asarray(T[0])

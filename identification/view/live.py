@@ -17,11 +17,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from msgspec import UNSET
 
+from acquisition.errors import BadInputError, Location
 from acquisition.recording import Block, RecordingFollower
 from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
-from ..errors import BadInputError
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, motion_between, predicted_torque, sampled_at
 from ..report import FitFile, read_fit
@@ -68,13 +68,12 @@ def follow_recording(
             now_s = time.monotonic()
             grown_s = now_s if follower.read() else grown_s
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
-            if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
-                raise BadInputError(
-                    f"has not grown for {now_s - grown_s:.0f} s",
-                    place=str(path),
-                    advice="Check the recorder; `robot-acquire import` repairs a recording that "
-                    "is truncated",
-                )
+            Location(str(path)).require(
+                now_s - grown_s <= (MAX_FINISH_S if page.over else GIVE_UP_S),
+                text=f"has not grown for {now_s - grown_s:.0f} s",
+                advice="Check the recorder; `robot-acquire import` repairs a recording that "
+                "is truncated",
+            )
             _wait()
     finally:
         recording.disconnect()
