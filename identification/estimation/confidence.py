@@ -52,8 +52,11 @@ class Intervals:
 
     def part(self, indices: Ints) -> "Intervals":
         """Return the intervals of some of the parameters."""
-        of = {name: getattr(self, name)[indices] for name in ("low", "high", "sigma")}
-        return replace(self, covariance=self.covariance[np.ix_(indices, indices)], **of)
+        return replace(
+            self,
+            covariance=self.covariance[np.ix_(indices, indices)],
+            **{name: getattr(self, name)[indices] for name in ("low", "high", "sigma")},
+        )
 
     @cached_property
     def half(self) -> Array:
@@ -131,8 +134,7 @@ def combined(
     The combined estimate. It is the estimate itself if it has no such parameter, or if it differs
     significantly from the given values (`differs`).
     """
-    at = [estimate.names.index(name) for name in stated if name in estimate.names]
-    if not at:
+    if not (at := [estimate.names.index(name) for name in stated if name in estimate.names]):
         return estimate
     found, names = intervals_of(system, estimate), estimate.names
     value, half = np.array([stated[names[i]] for i in at]).T

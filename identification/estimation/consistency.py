@@ -15,6 +15,7 @@ steps solve the problem; the Newton decrement certifies the optimum.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -216,17 +217,16 @@ class _Objective:
     def value(self, chi: Array) -> float:
         """Return the function at chi (p,), infinite outside its domain."""
         x, rho = self._x @ chi, self._A @ chi - self._target
-        try:
-            roots = self._roots(chi)
-        except np.linalg.LinAlgError:
-            return np.inf
-        if not (x > 0).all():
-            return np.inf
-        sizes = [np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for L in roots]
-        log_det = sum(
-            2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True)
-        )
-        return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
+        if (x > 0).all():
+            with suppress(np.linalg.LinAlgError):
+                log_det = sum(
+                    2 * weight * np.log(np.diagonal(L, axis1=1, axis2=2)).sum()
+                    for (_, _, weight), L in zip(self._cones, self._roots(chi), strict=True)
+                )
+                return float(
+                    0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum()
+                )
+        return np.inf
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
         """Return the gradient (p,) at chi, and J (r, p) of the Hessian J'J.

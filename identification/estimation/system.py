@@ -97,8 +97,10 @@ class System:
 
     def part(self, rows: Bools) -> "System":
         """Return the system of the rows in a mask (r,)."""
-        of = {name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")}
-        return replace(self, **of)
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows] for name in ("W", "Y", "joint_of_row", "span")},
+        )
 
     def with_columns(self, columns: Ints) -> "System":
         """Return the system of some of the parameters, by their `columns`."""
@@ -172,8 +174,8 @@ class SpanRows(dict[tuple[int, int], tuple[Array, Ints]]):
         lengths, columns = [len(self[key][1]) for key in each], self[each[0]][0].shape[1]
         rows, kind = np.empty((sum(lengths), columns)), np.empty(sum(lengths), dtype=np.intp)
         # Each block is removed when it is copied, so that the rows are never in memory twice.
-        for key, at in zip(each, spans_of(lengths), strict=True):
-            rows[at], kind[at] = self.pop(key)
+        for key, (first, last) in zip(each, pairwise(np.cumsum([0, *lengths])), strict=True):
+            rows[first:last], kind[first:last] = self.pop(key)
             if len(self) % _RELEASED == 0:
                 release_memory(rows)
         span, fast = np.divmod(kind, 2)
@@ -198,11 +200,6 @@ def _reduced(rows: Array) -> Array:
     found = np.zeros((len(R), rows.shape[1]))
     found[:, own] = R
     return found
-
-
-def spans_of(parts: Sequence[int]) -> list[slice]:
-    """Return the instants of each recording within the instants of all."""
-    return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *parts]))]
 
 
 def by_joint(systems: Sequence[System]) -> Ints:
