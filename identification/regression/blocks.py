@@ -239,8 +239,11 @@ class MotionBlock(Motion):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all that rows need, so that another process needs no recording."""
-        own = {name: getattr(self, name) for name in ("weights", "share", "known_torque")}
-        return vars(self) | own | {"problem": self.problem.without_samples}
+        return {
+            **vars(self),
+            **{name: getattr(self, name) for name in ("weights", "share", "known_torque")},
+            "problem": self.problem.without_samples,
+        }
 
     @cached_property
     def weights(self) -> Array:
@@ -326,8 +329,9 @@ class MotionBlock(Motion):
 
         That torque has no noise and no delay.
         """
-        problem, stride = self.problem, self.torque_stride
-        tau = predicted_torque(self, problem.model, problem.base, beta, stride)
+        tau = predicted_torque(
+            self, self.problem.model, self.problem.base, beta, self.torque_stride
+        )
         return self.with_torque(tau - self.known_torque)
 
     def with_torque(self, tau: Array) -> "MotionBlock":

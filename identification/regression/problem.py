@@ -168,9 +168,12 @@ class Problem:
     @cached_property
     def for_errors(self) -> "Problem":
         """Copy with the filters of torque errors."""
-        stated = self.signals.motion_hz is None
-        signals = self.signals if stated else replace(self.signals, motion_hz=None)
-        return replace(self, signals=signals, settings=self.settings.for_errors(self.signals))
+        s = self.signals
+        return replace(
+            self,
+            signals=s if s.motion_hz is None else replace(s, motion_hz=None),
+            settings=self.settings.for_errors(s),
+        )
 
     def first_minutes(self) -> "Problem":
         """Return the first minutes of the time range used, and some seconds more for the filters.

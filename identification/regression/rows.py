@@ -192,10 +192,9 @@ class Rows:
     def without(self, names: Collection[str]) -> "Rows":
         """Return a copy without the columns of some parameters."""
         stay = np.array([name not in names for name in self.system.names])
-        x = self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]]
         return replace(
             self,
-            x=x,
+            x=self.x[np.r_[stay, np.ones(len(self.x) - len(stay), dtype=bool)]],
             Z=self.Z[:, stay] if self.Z.size else self.Z,
             system=self.system.with_columns(np.flatnonzero(stay)),
         )

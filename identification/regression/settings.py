@@ -161,11 +161,14 @@ class Settings:
         border = border_samples(cutoff_hz, fs)
         used = range(max(self.widest.start, border), min(self.widest.stop, self.samples - border))
         if len(used) < MIN_ROWS * decimation:
-            text = (
-                f"{signals.recording} is too short for the filters of torque errors, so the errors "
-                "include noise that the filters of the fit pass"
+            return replace(
+                self,
+                warnings=(
+                    *self.warnings,
+                    f"{signals.recording} is too short for the filters of torque errors, so the "
+                    "errors include noise that the filters of the fit pass",
+                ),
             )
-            return replace(self, warnings=(*self.warnings, text))
         return replace(
             self,
             cutoff_hz=cutoff_hz,

@@ -119,12 +119,11 @@ class Load:
 
     def _sizes(self, beta: Array, motion: MotionBlock) -> tuple[Array, Array]:
         """Return F[w |tau_links| sign(dq)] and s at the rows, (k, rows) each."""
-        joints, q, dq, ddq = self.joints, motion.q, motion.dq, motion.ddq
-        links = torque_of_links(motion.problem, beta, q, dq, ddq)[:, joints]
-        sign = np.sign(dq[:, joints])
+        links = torque_of_links(motion.problem, beta, motion.q, motion.dq, motion.ddq)
+        links, sign = links[:, self.joints], np.sign(motion.dq[:, self.joints])
         # s is only a derivative, so leaving out the filter does not change the solution.
         s = motion.kept(np.sign(links) * sign).T
-        return motion.weighted((np.abs(links) * sign).T, joints), s
+        return motion.weighted((np.abs(links) * sign).T, self.joints), s
 
 
 def load_of(problem: Problem, arm: Arm) -> tuple[Load, ...]:
