@@ -17,6 +17,7 @@ from .filtering import Decimation, fast_size, forward_backward_3db_hz, lowpass, 
 from .lag import LAG_ORDERS, combined_lag, lags_in
 from .motion import (
     BLOCK_SAMPLES,
+    CUT_PERIODS,
     NOTHING,
     SPLINE_REACH,
     FilteredMotion,
@@ -58,4 +59,4 @@ from .terms import (
     row_states,
     why_not_simulated,
 )
-from .unknowns import Arm, Unknowns, base_places, make_unknowns
+from .unknowns import Arm, Unknowns, make_unknowns

@@ -31,18 +31,13 @@ from acquisition.robot import Payload, Robot
 
 from ..arrays import Array, Ints
 from ..estimation import Estimate
-from ..report import base_name, gain_name, is_base, is_own, own_name
+from ..report import base_name, gain_name, is_own, own_name
 from .blocks import MotionBlock
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
 
 # Kinds of `identification.own`, and the kinds of terms that they stand for.
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}
-
-
-def base_places(names: Sequence[str]) -> Ints:
-    """Return the places of base parameters in `names`, which may include payloads and gains."""
-    return np.flatnonzero([bool(is_base(name)) for name in names])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,7 +21,7 @@ from ..data import Signals
 from ..estimation import Estimate, Intervals, torque_errors
 from ..methods import Pass, Solution, direct_errors, largest
 from ..model import BaseParameters, direct_model_of_base
-from ..regression import Problem, Settings, base_places, equation_alone, torque_of_recording
+from ..regression import Problem, Settings, equation_alone, torque_of_recording
 from ..report import (
     ConsistentFile,
     DirectModelResidual,
@@ -167,7 +167,8 @@ class Evidence:
 
     def _of_base(self, found: Found, names: Sequence[str]) -> Found:
         """Return the part of the base parameters with these names."""
-        return found.part(base_places(names)) if self.gains or self.payloads else found
+        places = np.flatnonzero([bool(is_base(name)) for name in names])
+        return found.part(places) if self.gains or self.payloads else found
 
     @cached_property
     def essential(self) -> FTest:
@@ -317,8 +318,10 @@ def validated(problem: Problem, beta: Array) -> FitOnRecording:
 
 def errors_on(recordings: Sequence[FitOnRecording]) -> tuple[TorqueResidual, ...]:
     """Return the torque errors of all recordings together: one per joint and, last, all joints."""
-    rows = [(one.tau, one.tau_predicted, one.counts) for one in recordings]
-    tau, predicted, counts = map(np.concatenate, zip(*rows, strict=True))
+    tau, predicted, counts = (
+        np.concatenate([getattr(one, name) for one in recordings])
+        for name in ("tau", "tau_predicted", "counts")
+    )
     robot = recordings[0].signals.robot
     joints = zip((joint.name for joint in robot.joints), robot.effort_units, strict=True)
     return torque_errors(tau, predicted, counts, list(joints))
