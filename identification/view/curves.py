@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..data import Signals
 from ..design import Excitation
-from ..regression import FilteredMotion, Settings
+from ..regression import BLOCK_SAMPLES, FilteredMotion, Settings
 from ..report import Number
 from ..results import FitOnRecording
 from .panels import (
@@ -30,7 +30,6 @@ from .panels import (
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
 # With this many drawn samples per cut-off period a long filtered curve still looks smooth.
 SAMPLES_PER_PERIOD = 20.0
-_BLOCK = 200_000  # samples processed at a time, which limits memory
 
 # For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque,
 # error), a line per joint.
@@ -66,12 +65,11 @@ def lines_of(signals: Signals, settings: Settings | None, fit: FitOnRecording | 
     }
     if (q_ref := signals.q_ref) is not None:
         lines |= _lines("reference", signals.t_s, {"q": q_ref, "error": q_ref - signals.q})
-    simulated = None if fit is None else fit.simulated
-    if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
+    if fit and fit.simulated and (m := fit.simulated.motion):
         # The times of the motion are index / rate; the recording's own may be interpolated.
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]
         lines |= _lines(
-            "simulated", t_s, {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": simulated.error}
+            "simulated", t_s, {"q": m.q, "dq": m.dq, "ddq": m.ddq, "error": fit.simulated.error}
         )
     return lines
 
@@ -100,7 +98,7 @@ def _decimate(
     )
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
     step = bucket_size(-(-(stop - start) // stride))
-    size = max(1, _BLOCK // (step * stride)) * step * stride
+    size = max(1, BLOCK_SAMPLES // (step * stride)) * step * stride
     for a in range(start, stop, size):
         m = motion.between(a, min(stop, a + size), settings.cutoff_hz if settings else None)
         series = {
@@ -218,10 +216,10 @@ def plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool =
     )
 
 
-def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
-    """Plot per joint measured and predicted torque of decimated rows with their residual.
+def row_plots(one: FitOnRecording) -> dict[str, list[Plot]]:
+    """Plot per joint the `torque` of decimated rows, measured and predicted, and the `residual`.
 
-    The second list has plots of the residual alone.
+    The plots of the torque have its residual too.
     """
     robot, tau, tau_predicted = one.signals.robot, one.tau, one.tau_predicted
     torques, residuals, errors = [], [], one.errors
@@ -248,13 +246,11 @@ def row_plots(one: FitOnRecording) -> tuple[list[Plot], list[Plot]]:
                 ),
             )
         )
-    return torques, residuals if (tau != tau_predicted).any() else []
+    return {"torque": torques, "residual": residuals if (tau != tau_predicted).any() else []}
 
 
-def compared_plots(
-    fits: Sequence[FitOnRecording], labels: Sequence[str]
-) -> tuple[list[Plot], list[Plot]]:
-    """Plot per joint the torques of two fits on one timeline; the second list has their residuals.
+def compared_plots(fits: Sequence[FitOnRecording], labels: Sequence[str]) -> dict[str, list[Plot]]:
+    """Plot per joint the `torque` of two fits on one timeline, and their `residual`.
 
     Measured torque of one recording is drawn once. Lines are narrower than those behind them.
     """
@@ -303,7 +299,7 @@ def compared_plots(
                     legend=j == 0,
                 )
             )
-    return torques, residuals
+    return {"torque": torques, "residual": residuals}
 
 
 def column_plots(signals: Signals) -> list[Plot]:

@@ -23,7 +23,7 @@ from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
 from ..model import InverseModel, base_parameters
-from ..regression import Decimation, motion_between, predicted_torque, sampled_at
+from ..regression import CUT_PERIODS, Decimation, motion_between, predicted_torque, sampled_at
 from ..report import FitFile, read_fit
 from ..results import stored_beta, with_stored_gains
 from .panels import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
@@ -36,7 +36,6 @@ STALLED_S, GIVE_UP_S = 1.0, 15.0  # without growth; the recorder writes every ha
 MAX_FINISH_S = 600.0  # without growth after the end of the session: the recorder decodes
 SHOWN_S = 20.0  # of the plots
 BAND = 4.0  # times the rms residual of the fit
-CUT_PERIODS = 5.0  # of the lowest cut-off, at both ends of the filtered rows
 _RATED = {"N m": "rated_torque_nm", "N": "rated_force_n", "A": "rated_current_a"}
 _LOSSES = ("late", "missing", "kernel_drops")
 Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name

@@ -59,16 +59,15 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
             beside=_intervals(own, others, document),
         )
     signals = one.signals
-    torque, residual = curves.row_plots(one)
+    torque, residual = curves.row_plots(one).values()
     friction = _friction_page({"": fit}, {"": [one]})
     overview, *of_signals = _signal_pages(
         signals, one.problem.settings, one, torque if residual else []
     )
     each = [error.relative_error_percent or 0.0 for error in one.errors[:-1]]
-    j = each.index(max(each))
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {str(fit.method).upper()}",
-        first=torque[j],
+        first=torque[each.index(max(each))],
         # The friction of a single joint stands beside its torque.
         front=Page(
             name=f"Torque and residual: {signals.recording}",
@@ -91,14 +90,13 @@ def draw_fit(fit: FitFile, one: FitOnRecording | None, truth: Array | None = Non
 def draw_friction(before: results.Evidence, after: results.Evidence, document: Document) -> Picture:
     """Draw the fits with the usual and with the selected friction terms."""
     recording = ", ".join(one.signals.recording for one in before.recordings)
-    fits = {"usual": before, "recommended": after}
     return Picture(
         name=f"{before.problem.signals.robot.name}, {recording}, friction",
         document=document,
         pages=(
             _friction_page(
-                {name: results.fit_file(fit) for name, fit in fits.items()},
-                {name: fit.recordings for name, fit in fits.items()},
+                {"usual": results.fit_file(before), "recommended": results.fit_file(after)},
+                {"usual": before.recordings, "recommended": after.recordings},
             ),
         ),
         sha256={one.signals.recording: one.signals.sha256 for one in before.recordings},
@@ -116,11 +114,7 @@ def draw_validation(
         name=f"{validated[0].signals.robot.name} validation",
         document=document,
         pages=tuple(
-            Page(
-                name=one.signals.recording,
-                groups=dict(zip(("torque", "residual"), curves.row_plots(one), strict=True)),
-            )
-            for one in validated
+            Page(name=one.signals.recording, groups=curves.row_plots(one)) for one in validated
         ),
         sha256={**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}},
     )
@@ -164,8 +158,7 @@ def draw_comparison(
         for k, x in enumerate((own, other))
     )
     deviations = charts.deviation_charts(first, [second])
-    plots = curves.compared_plots(fits, (own.label, other.label))
-    torques = dict(zip(("torque", "residual"), plots, strict=True))
+    torques = curves.compared_plots(fits, (own.label, other.label))
     return Picture(
         name=f"{own.label} and {other.label}",
         document=document,
@@ -291,8 +284,12 @@ def _friction_page(
     It is of one fit, or of several side by side.
     """
     of_fits = [friction_charts(fit, recordings[name], name) for name, fit in fits.items()]
-    by_joint = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
-    return Page(name="friction", groups={"friction": of_fits[0]} if len(fits) == 1 else by_joint)
+    return Page(
+        name="friction",
+        groups={"friction": of_fits[0]}
+        if len(fits) == 1
+        else {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)},
+    )
 
 
 def join_pictures(pictures: Sequence[Picture]) -> Picture:

@@ -92,17 +92,21 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
     if stop - start < MIN_SPECTRUM_SAMPLES:
         return []
-    low_pass = settings.cutoff_hz if settings else None
-    decimation = 0.4 * fs / settings.decimation if settings and settings.decimation > 1 else None
     for key, x, units, name, cutoff in (
         (
             "position",
             signals.q,
             [joint.position_unit for joint in robot.joints],
             "low-pass",
-            low_pass,
+            settings.cutoff_hz if settings else None,
         ),
-        ("effort", signals.effort, robot.effort_units, "decimation", decimation),
+        (
+            "effort",
+            signals.effort,
+            robot.effort_units,
+            "decimation",
+            0.4 * fs / settings.decimation if settings and settings.decimation > 1 else None,
+        ),
     ):
         unit, curves = curves_of(
             {joint.name: _spectrum(x[start:stop, j], fs) for j, joint in enumerate(robot.joints)},

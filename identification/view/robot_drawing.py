@@ -35,8 +35,7 @@ def robot_scene(signals: Signals, fit: FitOnRecording | None) -> Scene:
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [Moving(key="measured", t_s=signals.t_s[k], q=signals.q[k])]
-    simulated = None if fit is None else fit.simulated
-    if simulated is not None and simulated.by_joint and (m := simulated.motion) is not None:
+    if fit and fit.simulated and (m := fit.simulated.motion):
         k = np.arange(0, len(m.t_s), pose_stride(len(m.t_s), 1 / (m.t_s[1] - m.t_s[0])))
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]
         t_s[0] = signals.t_s[0]  # before the simulation starts, the ghost stands at its first pose

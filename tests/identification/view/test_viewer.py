@@ -166,7 +166,7 @@ def test_residual_matches_reported_error(written):
 def test_long_recording_blocks_have_no_seam(written, monkeypatch):
     signals = made_up()
     whole = written(signals)
-    monkeypatch.setattr(curves, "_BLOCK", 700)
+    monkeypatch.setattr(curves, "BLOCK_SAMPLES", 700)
     blocks = written(signals, name="blocks.rrd")
     assert whole.curves.keys() == blocks.curves.keys()
     for path, (t, x) in whole.curves.items():
