@@ -400,10 +400,8 @@ def _find_longest(tree: UrdfTree) -> list[str]:
 
 def _describe_locked(tree: UrdfTree, name: str) -> str:
     joint = tree.joints[name]
-    text = f"{name}: {joint.get('type')}"
-    if joint.find("mimic") is None:
-        return text
-    return f"{text}, mimics {attribute_of(joint, 'mimic', 'joint')}"
+    mimicked = f", mimics {attribute_of(joint, 'mimic', 'joint')}"
+    return f"{name}: {joint.get('type')}{'' if joint.find('mimic') is None else mimicked}"
 
 
 def _read_joint(tree: UrdfTree, name: str) -> UrdfJoint:

@@ -98,10 +98,17 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
             *_motors_and_controller(chain),
         ]
     )
-    drives = [f"# {FILL_IN}{TO_MOVE}: the drives. Replace every number by those of the real ones."]
-    drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
-    if not bus and any(joint.ratio or joint.effort_unit in OF_GAINS for joint in chain.joints):
-        drives = [_NO_BUS]  # those of the example record the torque at the joint
+    # The drives of the example record the torque at the joint.
+    drives = (
+        [bus.rstrip()]
+        if bus
+        else [_NO_BUS]
+        if any(joint.ratio or joint.effort_unit in OF_GAINS for joint in chain.joints)
+        else [
+            f"# {FILL_IN}{TO_MOVE}: the drives. Replace every number by those of the real ones.",
+            *(_EXAMPLE + line for line in _drives(chain)),
+        ]
+    )
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
@@ -133,7 +140,6 @@ def _load_robot(text: str, chain: Chain) -> Robot:
 
 
 def _head(chain: Chain, urdf: str) -> list[str]:
-    locked = ["", "# Locked at zero, each as a part of the link that carries it:"]
     return [
         f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in "
         "a URDF.",
@@ -145,7 +151,11 @@ def _head(chain: Chain, urdf: str) -> list[str]:
         "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine",
         "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that "
         "hangs or is tilted",
-        *(locked if chain.locked else []),
+        *(
+            ["", "# Locked at zero, each as a part of the link that carries it:"]
+            if chain.locked
+            else []
+        ),
         *(f"#     {one_line(text)}" for text in chain.locked),
         *(f"# note: {one_line(note)}" for note in chain.notes),
     ]

@@ -26,7 +26,6 @@ from ..report import (
     DriveGain,
     FitFile,
     Number,
-    Row,
     Section,
     Table,
     columns,
@@ -246,21 +245,23 @@ def _make_section(
     if not losses:
         return Section(title=f"{title}: complete", lines=notes)
     robot = m.model.robot
-    rows: list[Row] = [
-        (
-            "" if k else what,
-            robot.joints[j].name,
-            Number(float(rms[j]), ".4g"),
-            robot.effort_units[j],
-            Number(float(percent[j]), ".2f"),
-        )
-        for what, (rms, percent) in losses.items()
-        for k, j in enumerate(np.flatnonzero(rms))
-    ]
-    heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
     return Section(
         title=title,
-        table=Table(columns=heads + columns("unit", numbers=("relative, %",)), rows=tuple(rows)),
+        table=Table(
+            columns=columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
+            + columns("unit", numbers=("relative, %",)),
+            rows=tuple(
+                (
+                    "" if k else what,
+                    robot.joints[j].name,
+                    Number(float(rms[j]), ".4g"),
+                    robot.effort_units[j],
+                    Number(float(percent[j]), ".2f"),
+                )
+                for what, (rms, percent) in losses.items()
+                for k, j in enumerate(np.flatnonzero(rms))
+            ),
+        ),
         lines=(
             f"Missing torque at {STATES} random states within the limits of the robot, also "
             "relative to the whole torque",
@@ -277,7 +278,7 @@ def _make_toml(
     It refers to the URDF that is written with it.
     """
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
-    values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
+    values = dict(zip(m.model.names, m.chi.tolist(), strict=True))
     named, files = None, [drive.dictionary for drive in robot.bus.drive] if robot.bus else []
     if robot.urdf is not None and urdf is not None:
         named = Path(os.path.relpath(urdf, toml.absolute().parent)).as_posix()
@@ -325,9 +326,13 @@ def replace_in_tables(
             if not found:
                 table = re.sub(r"^\n[^\n]*", rf"\g<0>\n{key} = {shown}", table)
         made += header + table
-    made = made if written == values.keys() else ""
-    key = f"[[{kind}]]"
-    return checked_toml(made, now, place, key, f"a line {key} for each, then one line per key")
+    return checked_toml(
+        made if written == values.keys() else "",
+        now,
+        place,
+        f"[[{kind}]]",
+        f"a line [[{kind}]] for each, then one line per key",
+    )
 
 
 def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout: str) -> str:

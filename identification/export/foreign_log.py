@@ -185,8 +185,12 @@ def _map(
     units = {name: (values, "as given") for name, values in known.items() if values}
     if assume and RAD_OR_DEG in text:
         units.setdefault("position_unit", (("rad",), "assumed, because all values are within 2 pi"))
-    geared = given.ratio is not None or not np.array_equal(robot.R, np.eye(robot.n))
-    return complete_map(text, units, rate_hz, geared=geared)
+    return complete_map(
+        text,
+        units,
+        rate_hz,
+        geared=given.ratio is not None or not np.array_equal(robot.R, np.eye(robot.n)),
+    )
 
 
 def _effort_units(given: LogOptions, text: str) -> list[str]:

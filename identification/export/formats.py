@@ -138,9 +138,12 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
         for motor, row in zip(robot.motors, robot.R, strict=True)
         if np.count_nonzero(row) > 1
     }
-    if robot.controller.structure in (None, "computed_torque") or several - {*m.names[robot.n :]}:
-        return None
-    return described_law(robot)
+    return (
+        None
+        if robot.controller.structure in (None, "computed_torque")
+        or several - {*m.names[robot.n :]}
+        else described_law(robot)
+    )
 
 
 def _servos(m: ExportedModel, loop: ControlLaw) -> Iterator[ET.Element]:
@@ -252,8 +255,7 @@ def _attribute(element: Element, name: str, attribute: str) -> str:
 
 def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
     """Set attributes of the first child with this name, or of a new one; return it."""
-    child = _child(element, name)
-    if child is None:
+    if (child := _child(element, name)) is None:
         assert element.ownerDocument is not None
         child = element.appendChild(element.ownerDocument.createElement(name))
     for key, value in attributes.items():
@@ -340,17 +342,19 @@ def make_urdf(model: InverseModel) -> str:
             "effort": efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED),
             "velocity": joint.si("speed") or UNLIMITED,
         }
-        origin = {
-            "xyz": format_numbers(*origins[j]),
-            "rpy": format_numbers(*roll_pitch_yaw(rotations[j])),
-        }
         root.append(
             _element(
                 "joint",
                 {"name": joint.name, "type": "continuous" if endless else str(joint.type)},
                 _element("parent", {"link": names[model.parents[j]]}),
                 _element("child", {"link": names[j + 1]}),
-                _element("origin", origin),
+                _element(
+                    "origin",
+                    {
+                        "xyz": format_numbers(*origins[j]),
+                        "rpy": format_numbers(*roll_pitch_yaw(rotations[j])),
+                    },
+                ),
                 _element("axis", {"xyz": format_numbers(*axes[j])}),
                 _element("limit", {key: format_numbers(x) for key, x in stated.items()}),
             )
