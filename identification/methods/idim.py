@@ -161,11 +161,13 @@ def _by_measured_motion(model: Model, found: Pass, method: Method, *, essential:
     solved = replace(found, tau_predicted=model.predicted(x)) if gains else ls
     inputs = inputs_of(model, method, solved, x, full.estimate, kept)
     if gains:
-        text = "drive gains from the measured motion: the robot cannot be simulated " + (
-            "with them" if model.exogenous else "without a recorded reference"
-        )
-        ending = {"none": not found.parameters_settled, "no simulation": True}
-        line = {"convergence": FIXED_POINT.judge(ending, why=text)}
+        line = {
+            "convergence": FIXED_POINT.judge(
+                {"none": not found.parameters_settled, "no simulation": True},
+                why="drive gains from the measured motion: the robot cannot be simulated "
+                + ("with them" if model.exogenous else "without a recorded reference"),
+            )
+        }
     else:
         alone = model.unknowns.plain and not len(model.load)
         # The first recording is enough, as the test uses only the first minutes of a long one.

@@ -305,9 +305,11 @@ def _tracking(z: Sequence[Simulated]) -> float:
 
     It is infinite if the estimate itself was not simulated.
     """
-    if any(one.kind != "simulated" for one in z):
-        return np.inf
-    return max(joint.position_error_percent or 0.0 for one in z for joint in one.by_joint)
+    return (
+        np.inf
+        if any(one.kind != "simulated" for one in z)
+        else max(joint.position_error_percent or 0.0 for one in z for joint in one.by_joint)
+    )
 
 
 def tests_of(one: Pass) -> tuple[float, float]:

@@ -98,8 +98,10 @@ class Model:
     def load(self) -> Ints:
         """Places of the parameters of load-dependent friction in x."""
         base = self.problem.base.names
-        names = [base[place] for term in self.equations[0].load for place in term.places]
-        return np.array([self.names.index(name) for name in names], dtype=np.intp)
+        return np.array(
+            [self.names.index(base[i]) for term in self.equations[0].load for i in term.places],
+            dtype=np.intp,
+        )
 
     @property
     def exogenous(self) -> bool:

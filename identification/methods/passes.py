@@ -14,9 +14,11 @@ from ..simulation import InstrumentKind, Simulated
 
 def join_reasons(reasons: Sequence[tuple[str, str | None]]) -> str | None:
     """Join the reasons of recordings in one line, with their names if there are several."""
-    if len(reasons) == 1:
-        return reasons[0][1]
-    return "; ".join(f"{name}: {why}" for name, why in reasons if why is not None) or None
+    return (
+        reasons[0][1]
+        if len(reasons) == 1
+        else "; ".join(f"{name}: {why}" for name, why in reasons if why is not None) or None
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -248,8 +248,7 @@ def status_of(
     if not last.parameters_settled:
         moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} standard errors")
     if last.residual_change_percent is not None:
-        percent = last.residual_change_percent
-        moving.append(f"the residual norm still changes by {percent:.2g} %")
+        moving.append(f"the residual norm still changes by {last.residual_change_percent:.2g} %")
     text = " and ".join(moving) or "there is only the start"
     return "max_iterations", f"after iteration {last.number} {text}"
 

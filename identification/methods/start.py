@@ -22,8 +22,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from acquisition.errors import COMMAND_LINE, BadInputError, Location, NoFitError
+
 from ..arrays import Array, Ints
-from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
     System,
@@ -214,18 +215,17 @@ def refuse_without_scale(model: Model, rows: Rows, arm: Ints) -> None:
         return
     payloads = {one.payload for one in of.payloads}
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1
-    if several and any(payload.center_of_mass_m is None for payload in payloads):
-        raise BadInputError(
-            "drive gains cannot be identified with a payload of unknown mass"
-            if any(payload.mass_kg is None for payload in payloads)
-            else "drive gains cannot be identified from the mass of the payload alone",
-            key="payload",
-            advice="Give its mass and its center of mass: KG@X,Y,Z",
-        )
-    raise BadInputError(
-        "drive gains cannot be identified, since all recordings have the same payload",
-        place=", ".join(model.recordings),
-        key="gains",
+    COMMAND_LINE.require(
+        not several or all(payload.center_of_mass_m is not None for payload in payloads),
+        "payload",
+        text="drive gains cannot be identified with a payload of unknown mass"
+        if any(payload.mass_kg is None for payload in payloads)
+        else "drive gains cannot be identified from the mass of the payload alone",
+        advice="Give its mass and its center of mass: KG@X,Y,Z",
+    )
+    Location(", ".join(model.recordings)).refuse(
+        "gains",
+        text="drive gains cannot be identified, since all recordings have the same payload",
         advice="Use one recording without and one with a payload",
     )
 

@@ -330,8 +330,8 @@ def _expected_link(
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source
-    ends = [*idm.joint_frames[0][np.equal(idm.parents, j + 1)], np.zeros(3)]
-    along = ends[0]  # to the next joint, if there is one
+    # to the next joint, if there is one
+    along, *_ = [*idm.joint_frames[0][np.equal(idm.parents, j + 1)], np.zeros(3)]
     length = float(np.linalg.norm(along))
     radius = float(np.clip(SLENDERNESS * length, *RADIUS_M))
     mass = DENSITY * np.pi * radius**2 * (length + 2 * radius)

@@ -122,8 +122,7 @@ class Friction:
             A, net = M, force - self._level
             if self._slopes:
                 A, net = A + h * self._slope, net - dot(self._creep, v)
-            dv = self._solve(A, h * net)
-            if dv is None:
+            if (dv := self._solve(A, h * net)) is None:
                 raise ArithmeticError("the inertia matrix is not positive definite")
             w = v + dv
             if not self._stuck and not self._numbers.reverses(self._forward, w):

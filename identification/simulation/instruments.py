@@ -195,8 +195,7 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
     """
     if (r := problem.signals.q_ref) is None:
         return problem.motion
-    used = problem.settings.used
-    span = used.start, used.stop
+    span = problem.settings.start, problem.settings.stop
     return problem.motion.once(("predicted", *span), lambda: _predicted(problem.signals, r, *span))
 
 

@@ -380,8 +380,7 @@ def _motor_efforts(problem: Problem) -> Iterator[Array]:
 
 def _blocks(problem: Problem, *series: Array) -> Iterator[list[Array]]:
     """Yield the rows (K, n) of series in the time range used, in blocks."""
-    used = problem.settings.used
-    start, stop = used.start, used.stop
+    start, stop = problem.settings.start, problem.settings.stop
     for a in range(start, stop, BLOCK_SAMPLES):
         yield [x[a : min(stop, a + BLOCK_SAMPLES)] for x in series]
         if stop - start > BLOCK_SAMPLES:
