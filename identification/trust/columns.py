@@ -62,9 +62,14 @@ def added_columns_test(evidence: TrustInputs) -> TrustResult | None:
     first = max(found, key=_rank) if found else max(terms or every, key=lambda x: abs(x.t))
     # Name a second kind at the same joint if it explains as much, because the data cannot decide
     # between the two.
-    rivals = (x for x in found if x.kind != first.kind and x.where == first.where)
-    least = MIN_RIVAL * first.together_percent
-    told = [first, *(x for x in rivals if x.together_percent > least)][:2]
+    rivals = (
+        x
+        for x in found
+        if x.kind != first.kind
+        and x.where == first.where
+        and x.together_percent > MIN_RIVAL * first.together_percent
+    )
+    told = [first, *rivals][:2]
     # A rotor inertia, once allowed, absorbs what another kind explains, so it comes last.
     told.sort(key=lambda x: x.kind == kinds.ROTOR)
     each = [
@@ -275,8 +280,9 @@ def _columns(evidence: TrustInputs, terms: Sequence[MissingTerm]) -> Array:
         [name.startswith(kind.of) for name in evidence.estimate.names], evidence.estimate.beta, 0.0
     )
     of_spans = np.stack([kind.in_time(u, term.place[1]) for term in terms], axis=1)
-    of_rows = of_spans[evidence.observed.system.span]
-    return (evidence.Z[:, evidence.places] @ beta)[:, None] * of_rows
+    return (evidence.Z[:, evidence.places] @ beta)[:, None] * of_spans[
+        evidence.observed.system.span
+    ]
 
 
 def _taken_percent(rho: Array, left: Array) -> Array:

@@ -173,9 +173,7 @@ def control_law_line(
             -abs((1.0 if (x := one[0].value) is None else x) - 1.0),
         ),
     )
-    if len(names) == 1:
-        return worst
-    return structs.replace(worst, text=f"{name}: {worst.text}")
+    return worst if len(names) == 1 else structs.replace(worst, text=f"{name}: {worst.text}")
 
 
 def law_line(problem: Problem, law: FoundLaw | None) -> TrustResult | None:
@@ -319,8 +317,9 @@ def saturation_test(evidence: TrustInputs) -> TrustResult | None:
     lines = filter(None, map(evidence.made.get, ("convergence", LAW.test)))
     if all(line.level not in LEVELS[:2] for line in lines):
         return None
-    limits = (text for one in evidence.problems for text in unstated_limits(one.with_samples()))
-    text = "; ".join(dict.fromkeys(limits))
+    text = "; ".join(
+        dict.fromkeys(x for one in evidence.problems for x in unstated_limits(one.with_samples()))
+    )
     return SATURATION.judge(
         {"no fixed point": text and evidence.ending == "none", "not confirmed": text},
         limits=text,

@@ -75,7 +75,6 @@ _SIGN = "Check the sign of effort and position of joint {joint}{or_terms}."
 _TERMS = (
     "Check friction, rotor and zero of joint {joint}; its signs fit better than reversed{or_terms}."
 )
-_WRONG = "{joint}: effort or position has the wrong sign"
 
 
 PHYSICAL = Words(
@@ -91,7 +90,9 @@ PHYSICAL = Words(
     "reversed effort or a held-out error above 20 %. `caution`: M is less far below zero, or "
     "friction by more than 1.4 half-widths",
     cases={
-        "wrong sign": Case("do not use", "{what}", _SIGN, _WRONG),
+        "wrong sign": Case(
+            "do not use", "{what}", _SIGN, "{joint}: effort or position has the wrong sign"
+        ),
         "impossible": Case("do not use", "{what}", _TERMS),
         "noise": Case(
             "caution", "{what}, which may be noise", "Fit with --consistent before simulating."

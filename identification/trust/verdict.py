@@ -118,10 +118,12 @@ def trust_in(evidence: TrustInputs) -> Trust:
     if fixed is not None and fixed.level in LEVELS[:2] and (cause := next(known, "")):
         text = WORDS["convergence"].part("caused", text=fixed.text, cause=cause)
         lines["convergence"] = structs.replace(fixed, text=text, advice="", finding=cause)
-    of_lines = (one for line in lines.values() for one in line.assumed)
     return Trust(
         lines=worst_first(structs.replace(line, assumed=()) for line in lines.values()),
-        assumed=(*list_assumptions(evidence, lines), *of_lines),
+        assumed=(
+            *list_assumptions(evidence, lines),
+            *(one for line in lines.values() for one in line.assumed),
+        ),
     )
 
 
