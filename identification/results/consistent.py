@@ -251,8 +251,9 @@ def draw_consistent(
     """
     half = np.maximum(known.reach * np.sqrt(np.diag(known.covariance)), np.finfo(float).tiny)
     R = known.reach**2 * errors / half[:, None] / half
-    rng = np.random.default_rng(drawn[1])
-    e = rng.multivariate_normal(np.zeros(base.b), R, size=drawn[0], method="eigh")
+    e = np.random.default_rng(drawn[1]).multivariate_normal(
+        np.zeros(base.b), R, size=drawn[0], method="eigh"
+    )
     e *= half / NORMAL_REACH
     # A fit with the power of friction at its recorded speeds may not meet all conditions.
     met = {

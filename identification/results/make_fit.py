@@ -263,13 +263,11 @@ def _gain_warnings(signals: Signals) -> tuple[str, ...]:
     if robot.gain_known:
         return ()
     units = " and ".join(sorted(set(robot.effort_units)))
-    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    if robot.n > 1:
-        text += (
-            "; joints share parameters, so the values are valid only if all drives have the same "
-            "gain"
-        )
-    return (text,)
+    return (
+        f"the drive gains are not known: torques and parameters are in {units}, not in N m"
+        + "; joints share parameters, so the values are valid only if all drives have the same gain"
+        * (robot.n > 1),
+    )
 
 
 def smallest_cragg_donald(data: TrustInputs) -> float:

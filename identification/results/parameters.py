@@ -46,7 +46,6 @@ def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
     norms = zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True)
     torque = {} if by_ls else dict(norms)
     columns = e.beta, intervals.low, intervals.high, e.sigma, e.sigma_percent
-    found = zip(e.names, *(x.tolist() for x in columns), strict=True)
     return ParameterSet(
         label="LS" if by_ls else {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
@@ -62,7 +61,9 @@ def fitted_parameters(fit: Evidence, *, by_ls: bool = False) -> ParameterSet:
                 prior=fit.data.prior.get(name, UNSET),
                 column_norm=torque.get(name, UNSET),
             )
-            for name, value, low, high, sigma, percent in found
+            for name, value, low, high, sigma, percent in zip(
+                e.names, *(x.tolist() for x in columns), strict=True
+            )
         },
     )
 
@@ -72,8 +73,13 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
 
     Joints are matched by name.
     """
-    joints = tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints)
-    return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
+    return replace(
+        robot,
+        name=name,
+        joints=tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints),
+        urdf=urdf,
+        parameters={},
+    )
 
 
 def read_prior(path: Path, robot: Robot) -> Robot:
@@ -143,9 +149,8 @@ def stored_settings(
     )
     notes = list[str]()
     if (lag := stored.lag) is not UNSET:
-        fitted = lag.effort_object or lag.effort_provenance
         compared = (
-            ("effort object", signals.effort_object, fitted),
+            ("effort object", signals.effort_object, lag.effort_object or lag.effort_provenance),
             ("effort timing", signals.effort_timing, lag.effort_timing),
             ("rate in Hz", rate_hz, stored.sample_rate_hz),
         )
@@ -199,10 +204,8 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     if stored.gains is UNSET:
         return robot
     found = {one.motor: one.value for one in stored.gains}
-    pairs = zip(robot.motors, robot.gain, strict=True)
-    return replace(
-        robot, identified_gain=np.array([found.get(motor.name, gain) for motor, gain in pairs])
-    )
+    gains = [found.get(m.name, gain) for m, gain in zip(robot.motors, robot.gain, strict=True)]
+    return replace(robot, identified_gain=np.array(gains))
 
 
 def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
@@ -306,8 +309,8 @@ def payload_beta(stored: FitFile, problem: Problem) -> Array:
     payload, model, base = problem.signals.payload, problem.model, problem.base
     if payload is None:
         return np.zeros(base.b)
-    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(payload.text)
-    if found:
+    of_payloads = {one.stated: one.base_parameters for one in stored.payloads or ()}
+    if found := of_payloads.get(payload.text):
         return np.array([found.get(name, 0.0) for name in base.names])
     return np.asarray(base.K @ add_payload(model, np.zeros(model.p), payload))
 
@@ -352,13 +355,12 @@ def validate_all(
     """
     check_one_robot([signals for signals, _ in recordings])
     problems = with_common_band([make_problem(*one) for one in recordings])
-    betas = (
-        stored_beta(stored, one.base, place, one.signals.sha256) + payload_beta(stored, one)
-        for one in problems
-    )
     each = tuple(
         replace(validated(one, beta), ahead=errors_ahead(one.for_errors, beta) if ahead else None)
-        for one, beta in zip(problems, betas, strict=True)
+        for one in problems
+        for beta in [
+            stored_beta(stored, one.base, place, one.signals.sha256) + payload_beta(stored, one)
+        ]
     )
     return each, errors_on(each)
 

@@ -41,17 +41,19 @@ def recording_document(
     """Make the report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     told = OnRecording(**with_settings(signals, settings))
-    lines = (
-        *([f"This recording cannot be fitted: {refusal}"] if refusal else []),
-        f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, "
-        f"{reference} reference",
-        *(settings_lines(told, used="a fit would use") if settings else []),
-        *recording_lines(told),
-    )
     return Document(
         title=f"{robot.name}: recorded, not fitted",
         sections=(
-            Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
+            Section(
+                lines=(
+                    *([f"This recording cannot be fitted: {refusal}"] if refusal else []),
+                    f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, "
+                    f"{signals.t_s[-1]:.3f} s, {reference} reference",
+                    *(settings_lines(told, used="a fit would use") if settings else []),
+                    *recording_lines(told),
+                ),
+                warnings=tuple(settings.warnings) if settings else (),
+            ),
             Section(
                 title="Ranges",
                 table=Table(
@@ -144,16 +146,6 @@ def recordings_section(fit: FitFile) -> Section:
     It also has held-out errors, and the test of per-recording parameters.
     """
     each = fit.recordings or []
-    rows: tuple[Row, ...] = tuple(
-        (
-            one.recording,
-            Number(one.sample_rate_hz, "g"),
-            *(Number(x / one.sample_rate_hz, ".3f") for x in one.samples),
-            Number(one.relative_error_percent, ".4f"),
-            Number(one.held_out_error_percent, ".4f"),
-        )
-        for one in each
-    )
     lines = [
         f"{one.recording} cannot be predicted from the others: "
         + (
@@ -177,7 +169,16 @@ def recordings_section(fit: FitFile) -> Section:
             columns=columns(
                 "recording", numbers=("Hz", "from, s", "to, s", "fitted, %", "held out, %")
             ),
-            rows=rows,
+            rows=tuple(
+                (
+                    one.recording,
+                    Number(one.sample_rate_hz, "g"),
+                    *(Number(x / one.sample_rate_hz, ".3f") for x in one.samples),
+                    Number(one.relative_error_percent, ".4f"),
+                    Number(one.held_out_error_percent, ".4f"),
+                )
+                for one in each
+            ),
         ),
         lines=(
             *lines,
@@ -236,17 +237,6 @@ def main_figures(fit: FitFile) -> tuple[tuple[str, str], ...]:
 def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
     """Make the section of relative torque errors by joint; all joints together come last."""
     each = [f"{e.name} {Number(e.relative_error_percent, '.2g').text} %" for e in errors[:-1]]
-    rows = tuple(
-        (
-            e.name,
-            e.unit or "",
-            Number(e.relative_error_percent, ".4f"),
-            Number(e.moving_rows, "d"),
-            Number(e.standing_rows, "d"),
-            Number(e.autocorrelation, ".2f"),
-        )
-        for e in errors
-    )
     return Section(
         title="Torque error by joint",
         table=Table(
@@ -260,7 +250,17 @@ def errors_section(errors: tuple[TorqueResidual, ...]) -> Section:
                     "residual autocorrelation (lag 1)",
                 ),
             ),
-            rows=rows,
+            rows=tuple(
+                (
+                    e.name,
+                    e.unit or "",
+                    Number(e.relative_error_percent, ".4f"),
+                    Number(e.moving_rows, "d"),
+                    Number(e.standing_rows, "d"),
+                    Number(e.autocorrelation, ".2f"),
+                )
+                for e in errors
+            ),
             total=True,
         ),
         # A line above already has the error of all joints together.
@@ -312,27 +312,32 @@ def gain_sections(fit: FitFile) -> list[Section]:
     """
     if not fit.gains:
         return []
-    heads = columns(
-        "motor", numbers=("in robot.toml", "identified", "95 % half-width", "relative %")
-    )
-    rows = tuple(
-        (
-            one.motor,
-            Number(one.described, ".4g"),
-            Number(one.value, ".4g"),
-            Number(one.half_width, ".2g"),
-            Number(
-                100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
-            ),
-            one.unit,
-            "" if one.determined else "not well determined",
-        )
-        for one in fit.gains
-    )
     return [
         Section(
             title="Drive gains",
-            table=Table(columns=heads + columns("unit", ""), rows=rows),
+            table=Table(
+                columns=columns(
+                    "motor",
+                    numbers=("in robot.toml", "identified", "95 % half-width", "relative %"),
+                )
+                + columns("unit", ""),
+                rows=tuple(
+                    (
+                        one.motor,
+                        Number(one.described, ".4g"),
+                        Number(one.value, ".4g"),
+                        Number(one.half_width, ".2g"),
+                        Number(
+                            100 * one.half_width / abs(one.value) if one.value else math.inf,
+                            ".2f",
+                            most=1000,
+                        ),
+                        one.unit,
+                        "" if one.determined else "not well determined",
+                    )
+                    for one in fit.gains
+                ),
+            ),
             lines=(
                 f"Smallest Cragg–Donald eigenvalue: {known(fit.cragg_donald) or 0.0:.3g}. It shows "
                 "how well the payload separates drive gains and arm.",

@@ -23,8 +23,6 @@ CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times
 DECIMATIONS = (0.5, 2.0)  # times that of the rules
 NOISES = (4e-6, 4e-5, 8e-5)  # of the position, times the travel of the joint that travels least
 STARTS = (0.001, 1000.0)  # initial inertias (`regular`), kg m² or kg
-# LS and its half-width of the 95 % interval, IV and its half-width
-Values = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +66,7 @@ class VariedFit:
     variant: Variant
     ended: str
     passes: int = 0
-    values: Mapping[str, Values] = field(default_factory=dict)
+    values: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     essential: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     known: tuple[str, Mapping[str, float]] = ("", {})
@@ -245,24 +243,28 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         ),
     )
     worst = fits[k := int(largest[:, 0].argmax())].variant
-
-    heads = (
-        *columns("changed", "to", numbers=("change\nof LS",)),
-        *columns("of", numbers=("own", "change\nof IV")),
-        *columns("of", numbers=("own", "iterations")),
-        *columns("status of iv"),
-    )
-    lines = (
-        f"change: the largest of {len(names)} essential parameters from the fit with the default "
-        "settings, in its 95 % half-widths of IV; own: in half-widths of the changed fit",
-        "position noise is added to the recording, that is, outside the control loop; start: "
-        "initial inertias of all links, kg m² or kg",
-    )
     return Document(
         title=f"{recording}: LS changes by up to {largest[k, 0]:.2g} half-widths with "
         f"{worst.changed} {worst.to}, IV by {largest[k, 1]:.2g}",
         sections=(
-            Section(table=Table(columns=heads, rows=tuple(rows)), lines=lines),
+            Section(
+                table=Table(
+                    columns=(
+                        *columns("changed", "to", numbers=("change\nof LS",)),
+                        *columns("of", numbers=("own", "change\nof IV")),
+                        *columns("of", numbers=("own", "iterations")),
+                        *columns("status of iv"),
+                    ),
+                    rows=tuple(rows),
+                ),
+                lines=(
+                    f"change: the largest of {len(names)} essential parameters from the fit with "
+                    "the default settings, in its 95 % half-widths of IV; own: in half-widths of "
+                    "the changed fit",
+                    "position noise is added to the recording, that is, outside the control loop; "
+                    "start: initial inertias of all links, kg m² or kg",
+                ),
+            ),
             Section(title="values", table=values, short=Section()),
         ),
     )

@@ -339,28 +339,28 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     -------
     The report: summaries by method, the settings, and the runs with false trust.
     """
-    table = Table(
-        columns=columns("method", numbers=HEADINGS),
-        rows=tuple(
-            (method, *map(Number, numbers, FORMATS))
-            for method, *numbers in map(astuple, summaries(runs, true))
-        ),
-    )
     false = [
         f"{method} in run {run.number}"
         for run in runs
         for method, kind in METHODS
         if (fit := getattr(run, kind)) and false_trust(fit, true)
     ]
-    lines = (
-        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
-        f"{study.seed}; noise: {study.noise.text}; of iv only runs that converged",
-        "false trust (verdict trust, but an essential parameter is wrong by more than "
-        f"{FALSE_TRUST:g} half-widths or M is not positive): {', '.join(false) or 'no run'}",
+    section = Section(
+        table=Table(
+            columns=columns("method", numbers=HEADINGS),
+            rows=tuple(
+                (method, *map(Number, numbers, FORMATS))
+                for method, *numbers in map(astuple, summaries(runs, true))
+            ),
+        ),
+        lines=(
+            f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed "
+            f"{study.seed}; noise: {study.noise.text}; of iv only runs that converged",
+            "false trust (verdict trust, but an essential parameter is wrong by more than "
+            f"{FALSE_TRUST:g} half-widths or M is not positive): {', '.join(false) or 'no run'}",
+        ),
     )
-    return Document(
-        title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=lines),)
-    )
+    return Document(title=f"{robot}: {len(runs)} runs", sections=(section,))
 
 
 def border_line(robot: Robot) -> tuple[str, ...]:
@@ -437,21 +437,27 @@ def base_document(base: BaseParameters, robot: Robot) -> Document:
     -------
     The report, with the numbers of the joints.
     """
-    table = Table(
-        columns=columns("name", "expression", "unit"),
-        rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
-    )
-    joints = Table(
-        columns=columns("number", "joint", "type"),
-        rows=tuple((str(j), joint.name, joint.type) for j, joint in enumerate(robot.joints, 1)),
+    section = Section(
+        table=Table(
+            columns=columns("name", "expression", "unit"),
+            rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
+        )
     )
     return Document(
         title=f"{robot.name}: {base.b} base parameters",
         sections=(
-            Section(table=table).with_short_table(
+            section.with_short_table(
                 sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k]), 20
             ),
-            Section(title="joints by the number at the end of names", table=joints),
+            Section(
+                title="joints by the number at the end of names",
+                table=Table(
+                    columns=columns("number", "joint", "type"),
+                    rows=tuple(
+                        (str(j), joint.name, joint.type) for j, joint in enumerate(robot.joints, 1)
+                    ),
+                ),
+            ),
         ),
     )
 
@@ -529,26 +535,29 @@ def gains_document(fit: Evidence, true: Sequence[float]) -> Document:
         for one, of_drive, error in zip(fit.gains, true, off, strict=True)
         for form in [value_form(one.half_width / 2)]
     ]
-    lines = (
-        f"{within} of {len(true)} true values lie inside their 95 % intervals. Verdict of the fit: "
-        f"{fit.trust.verdict}.",
-        f"Payload of {fit.recordings[-1].signals.recording}: {fit.recordings[-1].signals.payload}",
-    )
-    table = Table(
-        columns=columns(
-            "motor",
-            numbers=(
-                "in robot.toml",
-                "true",
-                "identified",
-                "95 % half-width",
-                "error, half-widths",
-            ),
-        )
-        + columns("unit"),
-        rows=tuple(rows),
+    section = Section(
+        table=Table(
+            columns=columns(
+                "motor",
+                numbers=(
+                    "in robot.toml",
+                    "true",
+                    "identified",
+                    "95 % half-width",
+                    "error, half-widths",
+                ),
+            )
+            + columns("unit"),
+            rows=tuple(rows),
+        ),
+        lines=(
+            f"{within} of {len(true)} true values lie inside their 95 % intervals. Verdict of the "
+            f"fit: {fit.trust.verdict}.",
+            f"Payload of {fit.recordings[-1].signals.recording}: "
+            f"{fit.recordings[-1].signals.payload}",
+        ),
     )
     return Document(
         title=f"Drive gains of {', '.join(one.signals.recording for one in fit.recordings)}",
-        sections=(Section(table=table, lines=lines),),
+        sections=(section,),
     )
