@@ -71,7 +71,6 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
         Location(b.label).require(
             x.unit == y.unit, f"{name}.unit", y.unit, f"{x.unit}, as in {a.label}"
         )
-    rest = {name: y for name, y in b.parameters.items() if name not in partners.values()}
     return [
         *(
             _difference(name, x, b.parameters[partners[name]])
@@ -83,7 +82,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             Difference(
                 name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y
             )
-            for name, y in rest.items()
+            for name, y in b.parameters.items()
+            if name not in partners.values()
         ),
     ]
 

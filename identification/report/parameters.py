@@ -168,9 +168,11 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def half_width(self) -> float:
         """Half the 95 % interval; without one, 1.96 times the larger standard error."""
-        if self.low is None or self.high is None:
-            return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
-        return 0.5 * (self.high - self.low)
+        return (
+            PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
+            if self.low is None or self.high is None
+            else 0.5 * (self.high - self.low)
+        )
 
     half = half_width  # its earlier name
 

@@ -82,13 +82,15 @@ class Records(Shown, tuple[T, ...]):
             for name, values in self.to_dict().items()
             if self.columns[name] is not None
         }
-        numeric = [any(isinstance(x, Number) for x in column) for column in cells.values()]
         return Document(
             title=self.title,
             sections=(
                 Section(
                     table=Table(
-                        columns=tuple(zip(cells, numeric, strict=True)),
+                        columns=tuple(
+                            (name, any(isinstance(x, Number) for x in column))
+                            for name, column in cells.items()
+                        ),
                         rows=tuple(zip(*cells.values(), strict=True)),
                     )
                 ),

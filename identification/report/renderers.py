@@ -215,8 +215,15 @@ def to_html(
     ]
     first = next((k for k, section in enumerate(document.sections) if section.table), len(parts))
     causes = min(1, first) if document.badge.startswith("do not use") else 0
-    shown = [_badge(document.badge), *parts[:causes], contents, _tiles(document.figures)]
-    shown += [*parts[causes:first], placed.get("", ""), *parts[first:]]
+    shown = [
+        _badge(document.badge),
+        *parts[:causes],
+        contents,
+        _tiles(document.figures),
+        *parts[causes:first],
+        placed.get("", ""),
+        *parts[first:],
+    ]
     return "\n".join([_element(f"h{heading}", document.title), *filter(None, shown)])
 
 
