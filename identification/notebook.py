@@ -99,17 +99,19 @@ def read_robot(
     BadInputError : the file cannot be read, or values are given for a robot.toml, which has keys
         for them.
     """
-    given = {
+    given = _as_tuples(
+        bandwidth_hz=bandwidth_hz, position=position, speed=speed, acceleration=acceleration
+    )
+    return export.read_robot(Path(path), joints, given)
+
+
+def _as_tuples(**given: Any) -> dict[str, tuple[Any, ...]]:
+    """Return what is given, one value or several, as tuples."""
+    return {
         name: tuple(np.atleast_1d(value).tolist())
-        for name, value in (
-            ("bandwidth_hz", bandwidth_hz),
-            ("position", position),
-            ("speed", speed),
-            ("acceleration", acceleration),
-        )
+        for name, value in given.items()
         if value is not None
     }
-    return export.read_robot(Path(path), joints, given)
 
 
 def _robot(robot: File | Robot) -> Robot:
@@ -271,18 +273,16 @@ def fit_log(
         to be written exists.
     NoFitError : the robot moves too little.
     """
-
-    several = {
-        "effort_unit": effort_unit,
-        "drive_gain": drive_gain,
-        "ratio": ratio,
-        "position_unit": position_unit,
-    }
     given = LogOptions(
         columns=columns,
         topic=topic,
         overwrite=overwrite,
-        **{name: tuple(np.atleast_1d(x).tolist()) for name, x in several.items() if x is not None},
+        **_as_tuples(
+            effort_unit=effort_unit,
+            drive_gain=drive_gain,
+            ratio=ratio,
+            position_unit=position_unit,
+        ),
     )
     recording, document = export.import_foreign_log(Path(path), Path(robot), given)
     for text in (text for section in document.sections for text in section.warnings):
@@ -310,8 +310,10 @@ def _several_of_arrays(robot: Robot, given: dict[str, Any]) -> tuple[Signals, ..
 
 def _of_arrays(robot: Robot, given: dict[str, Any]) -> Signals:
     text = given.pop("payload")
-    payload = parse_payload(text, robot, "payload") if text else None
-    return replace(signals_from_arrays(robot=robot, **given), payload=payload)
+    return replace(
+        signals_from_arrays(robot=robot, **given),
+        payload=parse_payload(text, robot, "payload") if text else None,
+    )
 
 
 # `help` would write out numpy's ArrayLike, in 5000 characters

@@ -162,8 +162,11 @@ def _with_options(chain: "Chain", options: argparse.Namespace, bus: bytes) -> "C
     """Apply the options that a URDF lacks, and the units of the drives of `--bus`."""
     from acquisition.robot import efforts_of_scan
 
-    names = (*_URDF_OPTIONS, "ratio", "drive_gain", "torque_sensor")
-    given = {name: values for name in names if (values := getattr(options, name))}
+    given = {
+        name: values
+        for name in (*_URDF_OPTIONS, "ratio", "drive_gain", "torque_sensor")
+        if (values := getattr(options, name))
+    }
     of_drives = [] if options.bus is None else efforts_of_scan(bus, str(options.bus))
     Location(str(options.bus)).require(
         options.bus is None or len(of_drives) == len(chain.joints),

@@ -137,8 +137,7 @@ def _with_recorded_controller(
 
     That controller belongs to the recorded drives.
     """
-    law = was.files.get(SIMULATED_CONTROLLER)
-    if law is None:
+    if (law := was.files.get(SIMULATED_CONTROLLER)) is None:
         return robot, ()
     is_other = robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz)
     warning = "the given [controller] is not used: the drives of a dry run have their own"

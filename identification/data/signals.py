@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Any, TypedDict, Unpack
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -166,21 +166,13 @@ class Signals:
 OF_FILES = WeakValueDictionary[int, Signals]()
 
 
-class OptionalColumns(TypedDict, total=False):
-    """Optional arrays (N, n), by their names in a recording."""
-
-    velocity: ArrayLike | None
-    known_torque: ArrayLike | None
-    feedforward: ArrayLike | None
-
-
 def signals_from_arrays(
     q: ArrayLike,
     effort: ArrayLike,
     sample_rate_hz: float,
     robot: Robot,
     q_ref: ArrayLike | None = None,
-    **columns: Unpack[OptionalColumns],
+    **columns: ArrayLike | None,
 ) -> Signals:
     """Make signals from arrays, which are copied.
 

@@ -113,10 +113,9 @@ def set_text(robot: Robot, terms: TermSet) -> str:
     """
     parts = []
     for term in CANDIDATES:
-        having = [
+        if having := [
             joint.name for joint, more in zip(robot.joints, terms, strict=True) if term in more
-        ]
-        if having:
+        ]:
             everywhere = len(having) == sum(map(len, at_all_joints(robot, [term])))
             parts.append(term if everywhere else f"{term}: {', '.join(having)}")
     return "; ".join(parts) or "none"
