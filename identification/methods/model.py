@@ -301,17 +301,6 @@ class Model:
         )
         return replace(found, left_out=self.left_out | left_out)
 
-    def with_ramps(self, ramp_rows: float) -> "Model":
-        """Return a copy with another weight taper, in rows."""
-        return replace(
-            self,
-            overrides=replace(self.overrides, ramp_rows=ramp_rows),
-            problems=tuple(
-                replace(one, settings=replace(one.settings, ramp_rows=ramp_rows))
-                for one in self.problems
-            ),
-        )
-
 
 def _run(work: Work, task: Callable[..., Any], each: Sequence[tuple[Any, ...]]) -> list[Any]:
     return (

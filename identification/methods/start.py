@@ -321,7 +321,14 @@ def with_best_ramps(model: Model, *, instruments: bool) -> tuple[Model, Rows]:
     robots = model.robots(x) if instruments else ()
 
     def at(ramp: float) -> tuple[Model, Rows]:
-        one = model.with_ramps(ramp)
+        one = replace(
+            model,
+            overrides=replace(model.overrides, ramp_rows=ramp),
+            problems=tuple(
+                replace(one, settings=replace(one.settings, ramp_rows=ramp))
+                for one in model.problems
+            ),
+        )
         # What cannot be simulated is refused after least squares, with a better reason.
         with suppress(BadInputError):
             return one, one.with_instruments(robots, x, None)[1] if instruments else one.rows(x)
