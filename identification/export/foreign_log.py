@@ -120,8 +120,7 @@ def import_foreign_log(
         found = import_tables([log], known, map_path, out)
     elif bag:
         units = [effort_unit(unit) for unit in given.effort_unit or ()]
-        options = BagOptions(effort_unit=units, topic=given.topic or "")
-        found = import_bag(log, known, out, options)
+        found = import_bag(log, known, out, BagOptions(effort_unit=units, topic=given.topic or ""))
     else:
         found = import_log(log, out, known, str(robot))
     title, *others = summary_lines(found)

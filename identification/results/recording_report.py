@@ -41,19 +41,17 @@ def recording_document(
     """Make the report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     told = OnRecording(**with_settings(signals, settings))
+    lines = (
+        *([f"This recording cannot be fitted: {refusal}"] if refusal else []),
+        f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, "
+        f"{reference} reference",
+        *(settings_lines(told, used="a fit would use") if settings else []),
+        *recording_lines(told),
+    )
     return Document(
         title=f"{robot.name}: recorded, not fitted",
         sections=(
-            Section(
-                lines=(
-                    *([f"This recording cannot be fitted: {refusal}"] if refusal else []),
-                    f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, "
-                    f"{signals.t_s[-1]:.3f} s, {reference} reference",
-                    *(settings_lines(told, used="a fit would use") if settings else []),
-                    *recording_lines(told),
-                ),
-                warnings=tuple(settings.warnings) if settings else (),
-            ),
+            Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
             Section(
                 title="Ranges",
                 table=Table(
@@ -312,32 +310,27 @@ def gain_sections(fit: FitFile) -> list[Section]:
     """
     if not fit.gains:
         return []
+    heads = columns(
+        "motor", numbers=("in robot.toml", "identified", "95 % half-width", "relative %")
+    )
+    rows = tuple(
+        (
+            one.motor,
+            Number(one.described, ".4g"),
+            Number(one.value, ".4g"),
+            Number(one.half_width, ".2g"),
+            Number(
+                100 * one.half_width / abs(one.value) if one.value else math.inf, ".2f", most=1000
+            ),
+            one.unit,
+            "" if one.determined else "not well determined",
+        )
+        for one in fit.gains
+    )
     return [
         Section(
             title="Drive gains",
-            table=Table(
-                columns=columns(
-                    "motor",
-                    numbers=("in robot.toml", "identified", "95 % half-width", "relative %"),
-                )
-                + columns("unit", ""),
-                rows=tuple(
-                    (
-                        one.motor,
-                        Number(one.described, ".4g"),
-                        Number(one.value, ".4g"),
-                        Number(one.half_width, ".2g"),
-                        Number(
-                            100 * one.half_width / abs(one.value) if one.value else math.inf,
-                            ".2f",
-                            most=1000,
-                        ),
-                        one.unit,
-                        "" if one.determined else "not well determined",
-                    )
-                    for one in fit.gains
-                ),
-            ),
+            table=Table(columns=heads + columns("unit", ""), rows=rows),
             lines=(
                 f"Smallest Cragg–Donald eigenvalue: {known(fit.cragg_donald) or 0.0:.3g}. It shows "
                 "how well the payload separates drive gains and arm.",
