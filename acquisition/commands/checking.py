@@ -33,6 +33,7 @@ from ..errors import BadInputError, BusFaultError, one_line
 from ..protocol import DISABLED, State
 from ..robot import (
     FILL_IN,
+    HOW_TO_CONFIRM,
     MAX_LOAD,
     Bus,
     Drive,
@@ -107,6 +108,14 @@ def _of_description(robot: Robot, bus: Bus) -> Iterator[Finding]:
         yield Finding(
             FILL_IN,
             f"lines {', '.join(map(str, lines))} of robot.toml are incomplete → Complete them.",
+            ok=False,
+            track=True,
+        )
+    if robot.unconfirmed:
+        yield Finding(
+            "unconfirmed",
+            f"joints {', '.join(robot.unconfirmed)} were corrected from a recording → "
+            f"{HOW_TO_CONFIRM}.",
             ok=False,
             track=True,
         )

@@ -15,11 +15,7 @@ from .bus import (
     parse_homed,
     ripple_notes,
 )
-from .description import (
-    Capsule,
-    Joint,
-    RobotFile,
-)
+from .description import Joint, RobotFile
 from .drives import (
     MAX_LOAD,
     Bus,
@@ -32,6 +28,7 @@ from .drives import (
 )
 from .fit_tables import (
     FRICTION,
+    Capsule,
     Controller,
     Edges,
     FrictionTerm,
@@ -59,6 +56,7 @@ from .reference import (
 )
 from .resolving import resolve
 from .robot import (
+    HOW_TO_CONFIRM,
     SIMULATED_CONTROLLER,
     Robot,
     lines_to_fill_in,

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
-from .fit_tables import Controller, FrictionTerm, Identification, PayloadFile
+from .fit_tables import Capsule, Controller, FrictionTerm, Identification, PayloadFile
 from .toml import Name, Positive, TomlTable, note
 
 
@@ -28,19 +28,6 @@ class DH(TomlTable, frozen=True):
         float, note("angle about the joint axis at joint position 0: Rot(z, theta), deg")
     ]
     r_m: Annotated[float, note("offset along the joint axis at joint position 0: Trans(z, r), m")]
-
-
-class Capsule(TomlTable, frozen=True):
-    """A cylinder with round ends around a link.
-
-    It has a radius, and the ends of its axis in the frame of the link.
-    """
-
-    radius_m: Annotated[Positive, note("radius, m")]
-    from_m: Annotated[
-        tuple[float, float, float], note("one end of its axis in the frame of the link, x, y, z, m")
-    ]
-    to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
 # The keys of a joint by its type and the quantity.
@@ -307,6 +294,10 @@ class RobotFile(TomlTable, frozen=True):
     ground_m: Annotated[
         float | None, note("height of the ground in the base frame, against gravity, m")
     ] = None
+    unconfirmed: Annotated[
+        tuple[Name, ...],
+        note("joints that a fit corrected; nothing moves until a person checks and deletes this"),
+    ] = ()
 
     def __post_init__(self) -> None:
         n = len(self.joint)
@@ -332,6 +323,7 @@ class RobotFile(TomlTable, frozen=True):
                 for kind, named in names.items()
                 for i, name in enumerate(named)
             ),
+            *((x in names["joint"], "unconfirmed", x, "names of joints") for x in self.unconfirmed),
         )
         for i, joint in enumerate(self.joint):
             # This is not checked in the joint: if its terms are chosen for a fit, the speed may

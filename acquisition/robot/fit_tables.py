@@ -1,6 +1,7 @@
 """Tables of robot.toml that only a fit and a simulation read, and friction terms.
 
-The tables are controller, identification and payload. Each friction term is a function of speed.
+The tables are controller, identification, payload and capsules. Each friction term is a function of
+speed.
 
 To add a term, add its name to `FrictionTerm` and its row to `FRICTION`: descriptions, models,
 intervals, charts and exports take it from there. Viscous friction and offsets act through matrices
@@ -24,6 +25,19 @@ Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 Edges = Literal["smooth", "matlab"]
 GAINS = ("position_gain", "velocity_gain", "integral_gain")
 Gains = tuple[float, ...] | None
+
+
+class Capsule(TomlTable, frozen=True):
+    """A cylinder with round ends around a link.
+
+    It has a radius, and the ends of its axis in the frame of the link.
+    """
+
+    radius_m: Annotated[Positive, note("radius, m")]
+    from_m: Annotated[
+        tuple[float, float, float], note("one end of its axis in the frame of the link, x, y, z, m")
+    ]
+    to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
 class Controller(TomlTable, frozen=True):

@@ -19,12 +19,17 @@ from ..arrays import Array
 from ..errors import Location
 from ..files import read_bytes, read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
-from .description import Capsule, Joint, Motor, RobotFile
-from .fit_tables import GAINS, Controller, Identification, PayloadFile
+from .description import Joint, Motor, RobotFile
+from .fit_tables import GAINS, Capsule, Controller, Identification, PayloadFile
 from .toml import InvalidValueError, parse_toml
 
 # This attachment describes the drives of a dry run, and replaces [controller].
 SIMULATED_CONTROLLER = "simulated_controller.toml"
+# What a person does before a robot with `unconfirmed` joints may move.
+HOW_TO_CONFIRM = (
+    "Move each of them by hand while `robot-acquire record --passive` or `check` shows its "
+    "position, compare direction, amount and limits, then delete the key"
+)
 # Guards of [bus] and [[joint]] above these values would not stop anything in time.
 MAX_BUS_GUARDS = {
     "heartbeat_s": 1.0,
@@ -79,6 +84,8 @@ class Robot:
         files: files of the description by name (`robot.toml`, the URDF and its meshes, object
             dictionaries).
         urdf: text of the URDF; None without one.
+        unconfirmed: names of joints that were corrected from a recording, and that no person has
+            checked yet.
     """
 
     name: str
@@ -95,6 +102,7 @@ class Robot:
     urdf: str | None
     base: Base = Base()
     identified_gain: Array | None = None
+    unconfirmed: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -368,6 +376,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         files={name: files[name] for name in names if name in files},
         urdf=urdf,
         base=Base(capsule=f.base_capsule, ground_m=f.ground_m),
+        unconfirmed=f.unconfirmed,
     )
 
 

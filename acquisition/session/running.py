@@ -38,6 +38,7 @@ from ..recording import (
 )
 from ..robot import (
     FILL_IN,
+    HOW_TO_CONFIRM,
     Bus,
     BusFile,
     Payload,
@@ -205,6 +206,13 @@ def _task_of(
     task = Task(reference=reference, place=str(options.track), notes=operator.notes)
     if options.dry_run:
         return task
+    Location("robot.toml").require(
+        not robot.unconfirmed,
+        "unconfirmed",
+        ", ".join(robot.unconfirmed),
+        text="these joints were corrected from a recording, and no person has checked them",
+        advice=HOW_TO_CONFIRM,
+    )
     lines = lines_to_fill_in(robot)
     Location("robot.toml").require(
         not lines,

@@ -74,6 +74,7 @@ def test_fault_allows_recording_enabled_does_not(tmp_path, state):
 
 
 WITHOUT_LIMIT = ("following_error_deg = 5\n", "")
+UNCONFIRMED = ("", 'unconfirmed = ["joint_1"]\n')
 WITHOUT_CONTROL = ("node = 1", 'rpdo = [{ objects = ["607A"] }]\nnode = 1')
 
 
@@ -83,6 +84,7 @@ WITHOUT_CONTROL = ("node = 1", 'rpdo = [{ objects = ["607A"] }]\nnode = 1')
         (("", ""), "passed", "passed"),
         (WITHOUT_LIMIT, "passed", "failed: limits"),
         (WITHOUT_CONTROL, "passed", "failed: PDOs"),
+        (UNCONFIRMED, "passed", "failed: unconfirmed"),
         (("ratio = 50.0", "ratio = 50.0 # FILL IN"), "passed", "failed: FILL IN"),
         (("ratio = 50.0\n", ""), "passed", "failed: ratio 607D 6080 of node 1"),
         (("node = 1", 'node = 1\nmapping = "traffic"'), "failed: mapping", "failed: PDOs, mapping"),

@@ -18,7 +18,7 @@ from acquisition.commands import main
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 from acquisition.errors import RefusedError
 from acquisition.protocol import abort_answer, value_answer
-from acquisition.recording import ERROR, REMOTE_REQUEST
+from acquisition.recording import ERROR, REMOTE_REQUEST, read_recording
 from acquisition.robot import lines_to_fill_in
 from acquisition.simulated import LockStepLink
 
@@ -402,8 +402,21 @@ def test_scanned_file_is_no_go_until_filled_in(scanned, tmp_path, capsys):
     assert re.search(r"ok      rated value 6076:0 +1, 2 +420\n", out)
 
 
-def test_track_refuses_fill_in_marks(scanned, tmp_path, capsys, monkeypatch):
-    (tmp_path / "robot.toml").write_text(described(scanned))
+@pytest.mark.parametrize(
+    ("change", "refused"),
+    [
+        (("", ""), "marked FILL IN. Complete them"),
+        (
+            ("", 'unconfirmed = ["joint_2"]\n'),
+            "robot.toml: unconfirmed = 'joint_2': these joints were corrected from a recording, "
+            "and no person has checked them. Move each of them by hand",
+        ),
+    ],
+)
+def test_track_refuses_incomplete_or_unconfirmed(
+    scanned, tmp_path, capsys, monkeypatch, change, refused
+):
+    (tmp_path / "robot.toml").write_text(described(scanned).replace(*change, 1))
     path = swing(2, seconds=0.4, amplitude=0.02)
     rows = [f"{0.002 * k},{q[0]},{q[1]}" for k, q in enumerate(path)]
     (tmp_path / "ref.csv").write_text("\n".join(["time_s,joint_1,joint_2", *rows]))
@@ -411,10 +424,12 @@ def test_track_refuses_fill_in_marks(scanned, tmp_path, capsys, monkeypatch):
     command = ["record", "robot.toml", "--track", "ref.csv", "-o", "log.mcap"]
     ear = Ear("scan_two")
     assert main([*command, "--yes"]) == 1
-    assert "marked FILL IN. Complete them" in capsys.readouterr().err
+    assert refused in capsys.readouterr().err
     assert ear.frames() == []
     assert not (tmp_path / "log.mcap").exists()
     assert main([*command, "--dry-run", "--no-fit"]) == 0
+    stored = read_recording(tmp_path / "log.mcap").robot.files["robot.toml"].decode()
+    assert stored == (tmp_path / "robot.toml").read_text()
 
 
 def test_only_marks_of_motion_keys_count():

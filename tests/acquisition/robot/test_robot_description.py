@@ -121,6 +121,8 @@ def test_motor_gains_and_units(kind, motor, gain, recorded, unit):
          "controller.integral_gain", [-1.0], "positive"),
         ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0,
          "it is 0, or given beside motor_matrix"),
+        ('name = "one"', 'name = "one"\nunconfirmed = ["two"]', "unconfirmed", "two",
+         "names of joints"),
         ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)),
          "an invertible matrix"),
         ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0],
