@@ -72,6 +72,10 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     side: Annotated[
         Side | None, note("whether values are those of motors or joints (default: from the unit)")
     ] = None
+    signs: Annotated[
+        tuple[Literal[1, -1], ...] | None,
+        note("1 or -1 per column, -1 for one that counts backwards (default: all 1)"),
+    ] = None
 
 
 class Angles(Quantity, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -192,13 +196,16 @@ class Source:
             self.place,
         )
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
+        signs = np.array(quantity.signs or [1] * n)
         self.place.require(
-            values.shape[1] == n,
-            f"{key}.columns",
-            text=f"the table has {values.shape[1]} such columns for {n} joints",
-            advice="Name one column per joint",
+            values.shape[1] == n == len(signs),
+            f"{key}.{'columns' if len(signs) == n else 'signs'}",
+            text=f"the table has {values.shape[1]} such columns for {n} joints"
+            if len(signs) == n
+            else f"{len(signs)} signs are given for {n} joints",
+            advice="Give one per joint",
         )
-        return units, np.asarray(values * factors)
+        return units, np.asarray(values * factors * signs)
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
         kinds = [joint.position_unit for joint in self.robot.joints]

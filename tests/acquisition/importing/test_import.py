@@ -97,6 +97,18 @@ def test_motor_side_is_converted_to_joint_side(tmp_path, two, table):
     )
 
 
+def test_signs_turn_columns(tmp_path, two, table):
+    turned = csv(tmp_path / "b.csv", "p1,p2,c1,c2", Q * [1, -1], CURRENT * [-1, 1])
+    signs = MAP.replace('unit = "deg"', 'unit = "deg"\nsigns = [1, -1]')
+    signs = signs.replace('unit = "mA"', 'unit = "mA"\nsigns = [-1, 1]')
+    given, wanted = (
+        read_recording(run(tmp_path, two, text, path).out).samples
+        for text, path in ((signs, turned), (MAP, table))
+    )
+    for part in ("position", "effort"):
+        np.testing.assert_array_equal(given[part], wanted[part])
+
+
 def test_joint_side_is_unchanged(tmp_path, two, table):
     table_map = (
         MAP.replace("motor", "joint").replace("mA", "mN m")
@@ -246,6 +258,9 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
          "it looks like a period, not a rate"),
         ('["p1", "p2"]', '["p1"]', "position.columns", None,
          "the table has 1 such columns for 2 joints"),
+        ('unit = "deg"', 'unit = "deg"\nsigns = [1]', "position.signs", None,
+         "1 signs are given for 2 joints"),
+        ('unit = "deg"', 'unit = "deg"\nsigns = [1, 2]', "position.signs[1]", 2, "one of -1, 1"),
         ('["p1", "p2"]', "[1, 9]", "", None, "1 to 4"),
         ('["p1", "p2"]', "[0, 1]", "", None, "1 to 4"),
         ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
