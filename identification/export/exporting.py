@@ -47,9 +47,12 @@ SOFT_FRICTION = (
 )
 MIN_DRAWS = 20  # for a comparison of their spread with the intervals
 MIN_SPREAD = 0.9  # of the interval; parameters with less spread in the draws are reported
-_TABLE_HEADER = re.compile(
-    r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?"
+# The table with the remarks directly above it, up to blank lines and remarks above the next table.
+_PARAMETERS = re.compile(
+    r"(?m)(?:^[ \t]*#.*\n)*^[ \t]*\[[ \t]*([\"']?)parameters\1[ \t]*\][ \t]*(?:#.*)?\n"
+    r"(?:(?![ \t]*\[).*\n)*?(?=(?:[ \t]*(?:#.*)?\n)*(?:[ \t]*\[|\Z))"
 )
+_LIST = r"\[(?:[^\[\]]|\[[^\[\]]*\])*\]"  # which may have lists in it
 
 
 def export_fit(
@@ -292,47 +295,59 @@ def _make_toml(
 
 
 def replace_in_tables(
-    text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str
+    text: str,
+    kind: str,
+    values: Mapping[str, Mapping[str, Any]],
+    place: str,
+    remark: str = "",
 ) -> str:
     """Return a description with new values in its tables of a kind.
 
     Parameters
     ----------
     text : the description.
-    kind : name of the tables, [[kind]].
+    kind : name of the tables, [[kind]]; empty for the top level, which has the robot's name.
     values : values by key, by the name in the table; a key with the value None becomes a comment.
     place : name of the description, for errors.
+    remark : a comment above each new value, if any.
 
     Raises
     ------
     BadInputError : the tables cannot be replaced line by line.
     """
-    now, written = tomllib.loads(text), set()
-    made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
+    now = tomllib.loads(text)
+    owns = now[kind] if kind else [now]
+    header = rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$"
+    head = (
+        text if kind else re.split(r"(?m)^(?=[ \t]*\[\[?[ \t]*[A-Za-z_\"'])", text, maxsplit=1)[0]
+    )
+    made, *tables = re.split(header, text) if kind else ["", "", f"\n{head}"]
     # Each header is followed by the lines of its table.
-    for own, header, table in zip(now[kind], tables[::2], tables[1::2], strict=False):
+    for own, header, table in zip(owns, tables[::2], tables[1::2], strict=False):
         for key, value in values.get(own["name"], {}).items():
-            written.add(own["name"])
             line = re.compile(
-                rf"(?m)^([ \t]*{key}[ \t]*=[ \t]*)(?:\[[^\]]*\]|[^#\n]*?)([ \t]*(?:#.*)?)$"
+                rf"(?m)^([ \t]*{key}[ \t]*=[ \t]*)(?:{_LIST}|[^#\n]*?)([ \t]*(?:#.*)?)$"
             )
             if value is None:
                 own.pop(key, None)
                 table = line.sub(r"# \g<0>", table)
                 continue
-            own[key], shown = value, json.dumps(value)
-            table, found = line.subn(rf"\g<1>{shown}\g<2>", table, count=1)
+            own[key], above = value, f"# {remark}\n" * bool(remark)
+            shown = json.dumps(value, ensure_ascii=False).replace("\\", r"\\")
+            table, found = line.subn(rf"{above}\g<1>{shown}\g<2>", table, count=1)
             # A new key goes after the first one.
             if not found:
-                table = re.sub(r"^\n[^\n]*", rf"\g<0>\n{key} = {shown}", table)
+                table = re.sub(r"^\n[^\n]*", rf"\g<0>\n{above}{key} = {shown}", table)
         made += header + table
-    return checked_toml(
-        made if written == values.keys() else "",
-        now,
-        place,
-        f"[[{kind}]]",
-        f"a line [[{kind}]] for each, then one line per key",
+    made = (
+        made[not kind :] + text[len(head) :]
+        if values.keys() <= {x["name"] for x in owns[: len(tables) // 2]}
+        else ""
     )
+    key, lines = (
+        (f"[[{kind}]]", f"a line [[{kind}]] for each, then ") if kind else ("top level", "")
+    )
+    return checked_toml(made, now, place, key, f"{lines}one line per key")
 
 
 def checked_toml(made: str, now: Mapping[str, Any], place: str, key: str, layout: str) -> str:
@@ -368,33 +383,21 @@ def replace_parameters(
     ------
     BadInputError : the table cannot be replaced line by line.
     """
-    was, shown = tomllib.loads(text), {name: format_numbers(x) for name, x in values.items()}
-    lines, after = text.splitlines(), list[str]()
-    start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
-    if start is None:
-        inline = r"[ \t]*parameters[ \t]*[.=]"
-        before = [line for line in lines if not ("parameters" in was and re.match(inline, line))]
-    else:
-        headers = (
-            i for i in range(start + 1, len(lines)) if lines[i].lstrip(" \t").startswith("[")
-        )
-        stop = next(headers, len(lines))
-        while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
-            # Blank lines and remarks above the next table belong to that table.
-            stop -= 1
-        while start and lines[start - 1].lstrip().startswith("#"):
-            start -= 1
-        before, after = lines[:start], lines[stop:]
-    while before and not before[-1].strip():
-        before.pop()
-    now: dict[str, Any] = was | {"parameters": {name: float(x) for name, x in shown.items()}}
+    shown = {name: format_numbers(x) for name, x in values.items()}
     if urdf is not None:
-        now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
-        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
+        name = tomllib.loads(text)["name"]
+        text = replace_in_tables(text, "", {name: {"urdf": urdf}}, "the fit's robot.toml")
+    now: dict[str, Any] = tomllib.loads(text)
+    inline = "parameters" in now and re.compile(r"(?m)^[ \t]*parameters[ \t]*[.=].*\n?")
+    before, after = text, ""
+    if found := _PARAMETERS.search(f"{text}\n"):
+        before, after = text[: found.start()], text[found.end() :]
+    elif inline:
+        before = inline.sub("", text)
     table = ["", f"# {remark}", "[parameters]", *map(" = ".join, shown.items())]
     return checked_toml(
-        "\n".join([*before, *table, *after, ""]),
-        now,
+        "\n".join([before.rstrip(), *table, after]),
+        now | {"parameters": {name: float(x) for name, x in shown.items()}},
         "the fit's robot.toml",
         "[parameters]",
         "one line per value under a line [parameters]",

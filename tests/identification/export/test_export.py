@@ -281,6 +281,13 @@ def test_parameters_replaced_in_any_notation(table):
     assert "# new\n[parameters]\n" in made
 
 
+def test_urdf_of_any_name_replaced():
+    text, name = 'name = "x"\nurdf = "a.urdf" # mine\n[controller]\n', 'bras\\é "2".urdf'
+    made = replace_parameters(text, {"Fv1": 0.25}, "new", name)
+    assert tomllib.loads(made)["urdf"] == name
+    assert "# mine\n" in made
+
+
 def test_irreplaceable_table_refused():
     with pytest.raises(BadInputError) as caught:
         replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
