@@ -29,6 +29,7 @@ from .fit_file import (
     NO_FIXED_POINT,
     Ahead,
     Assumed,
+    Cause,
     DirectModelResidual,
     FitFile,
     FTest,

@@ -126,6 +126,21 @@ class Assumed(msgspec.Struct, frozen=True):
     why: str
 
 
+class Cause(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A mistake that a test names.
+
+    Attributes:
+        kind: `effort`, `position` or `backwards` for a sign, `efforts`, `positions` or `channels`
+            for two that are swapped, `zero`, `degrees`, `unit`, `side` or `gravity`.
+        of: joints, motors or the axis.
+        figure: its size, deg or a factor; None for a sign or an order.
+    """
+
+    kind: str
+    of: tuple[str, ...] = ()
+    figure: float | None = None
+
+
 class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One test of a fit.
 
@@ -140,6 +155,7 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
             expected value, for a plot, in `unit`.
         case: which of its cases in the table of words holds.
         assumed: what the test cannot check; a file has all assumptions in one place.
+        causes: the mistakes that the text names.
 
     A file of an earlier version has the first four alone, with the advice in the text.
     """
@@ -155,6 +171,7 @@ class TrustResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     unit: str = ""
     case: str = ""
     assumed: tuple[Assumed, ...] = ()
+    causes: tuple[Cause, ...] = ()
 
 
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -288,7 +305,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     lacks those from `least_squares` on: least squares of a fit by instrumental variables, and its
     error if the iterations do not converge; the smallest eigenvalue of the Cragg–Donald statistic
     with drive gains; rows before those without weight; parameters whose interval is wider than the
-    value.
+    value. `corrected` says what `--write-corrected` changed in the description.
     """
 
     parameters: list[Parameter]
@@ -334,6 +351,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     recorded_rows: int | None = None
     unclear: list[str] = msgspec.field(default_factory=list)
     notes: list[str] = msgspec.field(default_factory=list)
+    corrected: list[str] | UnsetType = UNSET
 
     @property
     def size(self) -> int:

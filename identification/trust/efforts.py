@@ -1,29 +1,209 @@
 """Tests for efforts and positions that are not what they are taken for.
 
-Such efforts and positions are exchanged, of the wrong sign or unit, or beyond their limit.
+Such efforts and positions are exchanged, of the wrong sign, zero or unit, or beyond their limit.
 
-A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of
-the drives' torques at joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint
-torques may have them exchanged by joint. Least squares shows which mistake fits. A wrong sign fits
-nearly as well, but its motor takes power from the robot: it brakes.
+Least squares shows which of the `mistakes` fits best once it is undone. A wrong sign fits nearly as
+well, but its motor takes power from the robot: it brakes.
+
+With R the motor matrix, G the drive gains, z the zeros, and m and v the positions and efforts that
+the motors report, a description says that q = R⁻¹ m + z and tau = RᵀG v. A mistake is undone by
+
+    q' = P q + t,    tau' = A tau,    g' = g + d,
+
+with gravity g. With S the exchange of two motors or the sign of one, A = RᵀG S (RᵀG)⁻¹ and
+P = R⁻¹ S R; a table of joint values may have them by joint, A = P = S. Several mistakes are undone
+one after the other, so their maps are multiplied.
+
+A corrected description has these maps if R' = R P⁻¹, z' = P z + t and G' = R'⁻ᵀ A Rᵀ G, with G'
+diagonal and positive: signs of joints, zeros, gravity, and units of efforts. The others belong to
+the import.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import reduce
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from acquisition.robot import RADIANS_AS_DEGREES
+from acquisition.robot import RADIANS_AS_DEGREES, Robot
 
 from ..arrays import Array, Bools, Ints
 from ..estimation import relative_residual
 from ..regression import Problem, sample_weights
-from ..report import TrustResult
+from ..report import Cause, TrustResult
 from .evidence import Case, TrustInputs, Words
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
+SAME_ERROR = 1.005  # ratio of torque errors that do not decide between two mistakes
 MAX_RISE = 1.001  # the same for a sign that may be wrong: that of a lone axis changes no error
+SWAPS, REVERSED = ("efforts", "positions", "channels"), ("effort", "position", "backwards")
+ROUNDING = 9  # digits of the maps of equal mistakes
+DEGREES = 180 / np.pi  # per rad
+# Of each kind of mistake its text, and what to change if no description can correct it.
+TEXTS = {
+    "efforts": (
+        "the efforts of {0} and {1} are swapped",
+        "swap both in columns of [effort] in map.toml",
+    ),
+    "positions": (
+        "the positions of {0} and {1} are swapped",
+        "swap both in columns of [position] and [reference] in map.toml",
+    ),
+    "channels": (
+        "the channels of {0} and {1} are swapped",
+        "swap both in all columns of map.toml, or node of both in [[bus.drive]]",
+    ),
+    "effort": (
+        "the effort of {0} has the wrong sign",
+        "set signs = {efforts} in [effort] of map.toml, or effort_sign in [[bus.drive]]",
+    ),
+    "position": (
+        "the position of {0} has the wrong sign",
+        "set signs = {positions} in [position] and [reference] of map.toml, or sign and "
+        "effort_sign in [[bus.drive]]",
+    ),
+    "backwards": ("position and effort of {0} have the wrong sign", "reverse its ratio"),
+    "degrees": (
+        "the position of {0} is in rad, declared as degrees",
+        'set unit = "rad" in [position] and [reference] of map.toml',
+    ),
+    "zero": ("the zero of {0} is wrong by {figure:g} deg", "correct its zero_deg"),
+    "gravity": ("gravity points along {0} of the base (gravity_m_s2)", "set gravity_m_s2"),
+    "unit": (
+        "the efforts are {figure:g} times the true ones",
+        "correct unit in [effort] of map.toml, such as A to mA",
+    ),
+    "side": ("the efforts are those of the {0}s", 'set side = "{0}" in [effort] of map.toml'),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Undone:
+    """Mistakes, and the maps that undo them: A, P (n, n), t (n,), and d (3,), added to gravity.
+
+    Without causes it is the recording as it is.
+    """
+
+    causes: tuple[Cause, ...]
+    A: Array
+    P: Array
+    t: Array
+    d: Array
+
+    def after(self, other: "Undone") -> "Undone":
+        """Return the maps that undo the other first, and then this."""
+        return Undone(
+            causes=(*other.causes, *self.causes),
+            A=self.A @ other.A,
+            P=self.P @ other.P,
+            t=self.P @ other.t + self.t,
+            d=self.d + other.d,
+        )
+
+    @property
+    def text(self) -> str:
+        """The mistakes in words."""
+        return ", and ".join(TEXTS[x.kind][0].format(*x.of, figure=x.figure) for x in self.causes)
+
+    def keys(self, robot: Robot) -> tuple[Array, Array, Array] | None:
+        """Return R' (n, n), z' (n,) and the factors (n,) on drive gains of a corrected description.
+
+        The result is None if no description has these maps. It needs each motor at its joint, and a
+        gain that changes must be the only key in the unit of the effort.
+        """
+        R = (robot.R @ np.linalg.inv(self.P)).round(ROUNDING)
+        factors = np.linalg.solve(R.T, self.A @ robot.R.T).round(ROUNDING)
+        gains = np.diag(factors)
+        holds = (
+            abs(np.linalg.det(self.P)).round(ROUNDING) == 1  # positions have the right unit
+            and np.diag(R).all()
+            and np.count_nonzero(factors) == robot.n == np.count_nonzero(gains > 0)
+            and (
+                (gains == 1).all()
+                or (
+                    not robot.controller.structure
+                    and all(
+                        m.drive_gain and not (m.saturation or m.drive_gain_half_width)
+                        for m in robot.motors
+                    )
+                )
+            )
+        )
+        return (R, self.P @ robot.zero + self.t, gains) if holds else None
+
+    def advice(self, robot: Robot) -> str:
+        """Return what to do about the mistakes."""
+        E, P = (np.where(np.diag(x) < 0, -1, 1).tolist() for x in (self.A, self.P))
+        each = (TEXTS[x.kind][1].format(*x.of, efforts=E, positions=P) for x in self.causes)
+        return (
+            f"Check this: {'; '.join(dict.fromkeys(each))}, and import again."
+            if self.keys(robot) is None
+            else "Check this; `fit --write-corrected ROBOT.toml` writes a corrected description."
+        )
+
+
+def mistakes(robot: Robot) -> list[Undone]:
+    """Return the ways to undo one mistake, each once, first none."""
+    n, one, R, zero = robot.n, np.eye(robot.n), robot.R, robot.zero
+    to_joints, turning = R.T * robot.gain, np.array([x.type == "revolute" for x in robot.joints])
+    motors, joints = ([x.name for x in each] for each in (robot.motors, robot.joints))
+    g, axes = robot.gravity * (not robot.gravity[:2].any()), [*np.eye(3), *-np.eye(3)]
+    exchanged = [
+        *(
+            (SWAPS, (i, j), one - np.outer(x := one[i] - one[j], x))
+            for i, j in combinations(range(n), 2)
+        ),
+        *((REVERSED, (k,), one - 2 * np.diag(one[k])) for k in range(n)),
+        (REVERSED, (), -one),
+    ]
+    rows: list[tuple[Cause, dict[str, Any]]] = [
+        *(
+            (
+                Cause(kind, tuple(names[k] for k in at) or ("all joints",)),
+                {"A": ours, "P": theirs, "t": zero - theirs @ zero},
+            )
+            for kinds, at, S in exchanged
+            for names, A, P in (
+                (motors, to_joints @ S @ np.linalg.inv(to_joints), np.linalg.solve(R, S @ R)),
+                (joints, S, S),
+            )
+            for kind, ours, theirs in zip(kinds, (A, one, A), (one, P, P), strict=True)
+        ),
+        *(
+            (Cause("degrees", (of,)), {"P": np.diag(x), "t": zero - x * zero})
+            for of, which in (("all joints", np.ones(n)), *zip(joints, one, strict=True))
+            for x in [DEGREES ** (which * turning)]
+        ),
+        *(
+            (Cause("zero", (name,), deg), {"t": -x * turning * deg / DEGREES})
+            for deg in (-90.0, 90.0, 180.0)
+            for name, x in zip(joints, one, strict=True)
+        ),
+        *(
+            (Cause("gravity", (axis,)), {"d": np.linalg.norm(g) * along - g})
+            for axis, along in zip(("+x", "+y", "+z", "-x", "-y", "-z"), axes, strict=True)
+        ),
+        # as mA for A; a factor of 100 may be a gear ratio
+        *((Cause("unit", (), factor), {"A": one / factor}) for factor in (1e3, 1e-3)),
+        (Cause("side", ("motor",)), {"A": R.T}),
+        (Cause("side", ("joint",)), {"A": np.linalg.inv(R.T)}),
+    ]
+    none = {"A": one, "P": one, "t": np.zeros(n), "d": np.zeros(3)}
+    found = [
+        Undone(causes=(), **none),
+        *(Undone(causes=(cause,), **none | maps) for cause, maps in rows),
+    ]
+    keys = [np.r_[x.A.flat, x.P.flat, x.t, x.d].round(ROUNDING) + 0.0 for x in found]
+    return [found[k] for k in np.sort(np.unique(keys, axis=0, return_index=True)[1])]
+
+
+def undo(robot: Robot, causes: Iterable[Cause]) -> Undone:
+    """Return the maps that undo these mistakes, the first one first."""
+    each = {x.causes: x for x in mistakes(robot)}
+    return reduce(lambda done, cause: each[(cause,)].after(done), causes, each[()])
 
 
 def signs_and_order_test(evidence: TrustInputs) -> TrustResult | None:
@@ -40,16 +220,28 @@ def signs_and_order_test(evidence: TrustInputs) -> TrustResult | None:
     power, brakes = _power(evidence)
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
-    with_it, undone = _undone(evidence)
-    found = [
-        (tried / (MAX_RATIO if m is None or not brakes[m] else MAX_RATIO_OF_BRAKE), tried, mistake)
-        for tried, mistake, m, A in undone
-        if (A * power).sum() > 0
+    braking = {
+        Cause(kind, (motor.name,))
+        for motor, it in zip(evidence.robot.motors, brakes, strict=True)
+        for kind in REVERSED[:2]
+        if it
+    }
+    tried = [
+        x for x in mistakes(evidence.robot) if all(c.kind in (*SWAPS, *REVERSED) for c in x.causes)
     ]
-    least, error, finding = min(found, default=(np.inf, 0.0, ""), key=lambda one: one[0])
+    with_it, *errors = errors_of(evidence, tried)
+    found = [
+        (error / (MAX_RATIO_OF_BRAKE if braking.intersection(x.causes) else MAX_RATIO), error, x)
+        for error, x in zip(errors, tried[1:], strict=True)
+        if (x.P.T @ x.A * power).sum() > 0
+    ]
+    least, error, best = min(found, key=lambda one: one[0])
     return SIGNS.judge(
         {"mistake": least < with_it},
-        mistake=finding,
+        # It is not clear which one it is if another is as good.
+        causes=best.causes * (sum(x < SAME_ERROR * error for _, x, _ in found) == 1),
+        mistake=best.text,
+        mend=best.advice(evidence.robot),
         undone=100 * error,
         error=100 * with_it,
     )
@@ -60,9 +252,9 @@ SIGNS = Words(
     place=10,
     by=signs_and_order_test,
     of_data=True,
-    advice="Correct columns and signs (in the map, or of drives in robot.toml), and import again.",
-    detects="Swapped efforts, and wrong signs of efforts or positions. If a torque error is more "
-    "than 5 %, or a motor absorbs power, each such correction is tried in turn",
+    advice="Fit with `--write-corrected`, or correct columns and signs and import again.",
+    detects="Swapped channels, and wrong signs of efforts or positions. Corrections are tried if a "
+    "torque error is more than 5 %, or a motor absorbs power",
     limit="`do not use`: a correction reduces the torque error to half or less (to 95 % or less, "
     "if it is the sign of a motor that absorbs power)",
     cases={
@@ -70,14 +262,9 @@ SIGNS = Words(
             "do not use",
             "{mistake}: if this is undone, the torque errors of the joints fall from {error:.2g} % "
             "to {undone:.2g} % (rms)",
-            "Check columns and signs of the recording.",
+            "{mend}",
             "{mistake}",
         )
-    },
-    parts={
-        "exchanged": "the efforts of {one} and {other} are swapped",
-        "effort": "the effort of {one} has the wrong sign",
-        "position": "the position of {one} has the wrong sign",
     },
 )
 
@@ -97,8 +284,8 @@ def sign_may_be_wrong(evidence: TrustInputs, joint: str) -> bool:
     It may be if a motor of this joint brakes, or if turning the sign of its effort or position does
     not raise the torque error.
     """
-    j = [one.name for one in evidence.robot.joints].index(joint)
-    motors = np.flatnonzero(evidence.robot.R[:, j])
+    names = [one.name for one in evidence.robot.joints]
+    motors = np.flatnonzero(evidence.robot.R[:, names.index(joint)])
     return bool(_power(evidence)[1][motors].any() or turned_sign(evidence, motors)[0] <= MAX_RISE)
 
 
@@ -107,56 +294,31 @@ def turned_sign(evidence: TrustInputs, motors: Collection[int] | Ints) -> tuple[
 
     Return that error divided by the present one, and the mistake that it would undo.
     """
-    with_it, undone = _undone(evidence, motors)
-    return min((tried / max(with_it, 1e-300), mistake) for tried, mistake, *_ in undone)
-
-
-def _undone(
-    evidence: TrustInputs, motors: Collection[int] | Ints | None = None
-) -> tuple[float, list[tuple[float, str, int | None, Array]]]:
-    """Return the torque error, and one entry for each mistake that is undone.
-
-    An entry holds the error, the mistake, the motor of a sign, and the map (n, n) of torques times
-    speeds. If `motors` are given, only their signs are tried.
-    """
-    problem, one = evidence.problem.with_samples().first_minutes(), np.eye(evidence.robot.n)
-    factors = _factors(problem, decimated := _decimated(problem), one)
-    return _error(factors, one), [
-        (
-            _error(factors if B is None else _factors(problem, decimated, B), A),
-            mistake,
-            motor,
-            A if B is None else B.T @ A,
-        )
-        for mistake, motor, A, B in _mistakes(problem)
-        if motors is None or motor in motors
+    names = {evidence.robot.motors[m].name for m in motors}
+    tried = [
+        x
+        for x in mistakes(evidence.robot)
+        if all(c.kind in REVERSED[:2] and names.issuperset(c.of) for c in x.causes)
     ]
+    with_it, *errors = errors_of(evidence, tried)
+    each = zip(errors, tried[1:], strict=True)
+    return min((error / max(with_it, 1e-300), x.text) for error, x in each)
 
 
-def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
-    """Return mistakes, the motor of a sign, and the maps (n, n) of joint torques and of positions.
-
-    The map of positions is None for a mistake of efforts.
-    """
-    robot, one = problem.robot, np.eye(problem.robot.n)
-    by_motors, to_motors = robot.R.T * robot.gain, np.linalg.inv(robot.R.T * robot.gain)
-    for i, j in combinations(range(robot.n), 2):
-        S = one[[j if k == i else i if k == j else k for k in range(robot.n)]]
-        for names, A in ((robot.motors, by_motors @ S @ to_motors), (robot.joints, S)):
-            pair = {"one": names[i].name, "other": names[j].name}
-            yield SIGNS.part("exchanged", **pair), None, A, None
-    for m, motor in enumerate(robot.motors):
-        S = one - 2 * np.diag(one[m])
-        effort, position = (SIGNS.part(part, one=motor.name) for part in ("effort", "position"))
-        yield effort, m, by_motors @ S @ to_motors, None
-        yield position, m, one, np.linalg.solve(robot.R, S @ robot.R)
+def errors_of(evidence: TrustInputs, tried: Sequence[Undone]) -> list[float]:
+    """Return the relative torque errors of least squares with mistakes undone, but for gravity."""
+    problem = evidence.problem.with_samples().first_minutes()
+    motions = {(x.P.tobytes(), x.t.tobytes()): x for x in tried}
+    decimated = _decimated(problem)
+    factors = {key: _factors(problem, decimated, x) for key, x in motions.items()}
+    return [_error(factors[x.P.tobytes(), x.t.tobytes()], x.A) for x in tried]
 
 
 def _decimated(problem: Problem) -> tuple[list[Array], Array]:
-    """Return the decimated motion q, dq, ddq (rows, n) from the zeros, and the torques.
+    """Return the decimated motion q, dq, ddq (rows, n), and the torques.
 
     The torques have the shape (n, rows, n + 1). For each joint these are all drives' torques and
-    the external one. For each joint these are all drives' torques and the external one. Columns are
+    the external one. Columns are
     computed of this motion and not decimated themselves: that is ten times as fast, and as good for
     errors of this size. The delay is the known one, because an estimated delay would contain the
     mistake.
@@ -164,8 +326,7 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
     signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     moved = [
-        s.decimator.filtered(x.T).T / s.decimator.gain
-        for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
+        s.decimator.filtered(x.T).T / s.decimator.gain for x in (motion.q, motion.dq, motion.ddq)
     ]
     known = 0 * motion.tau if (x := signals.known_torque) is None else x[s.start : s.stop]
     drives, known = (
@@ -175,17 +336,19 @@ def _decimated(problem: Problem) -> tuple[list[Array], Array]:
     return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
 
 
-def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -> Array:
-    """Return QR factors (n, k, b + n + 1) of each joint's rows, with positions mapped by B.
+def _factors(problem: Problem, decimated: tuple[list[Array], Array], undone: Undone) -> Array:
+    """Return QR factors (n, k, b + n + 1) of each joint's rows, with positions that are `undone`.
 
     The columns come first, then the torques of `decimated`.
     """
-    (q, dq, ddq), torques = [x @ B.T for x in decimated[0]], decimated[1]
-    W = problem.model.regressor(q + problem.signals.robot.zero, dq, ddq)[
-        ..., problem.base.columns
-    ].transpose(1, 0, 2)
-    share = sample_weights(problem).of_rows.T[..., None]
-    return np.asarray(np.linalg.qr(share * np.concatenate([W, torques], axis=2), mode="r"))
+    rows = slice(None, None, 1 + len(decimated[0][0]) // 2000)  # as good for errors of this size
+    (q, dq, ddq), torques = [x[rows] @ undone.P.T for x in decimated[0]], decimated[1][:, rows]
+    W = problem.model.regressor(q + undone.t, dq, ddq)[..., problem.base.columns]
+    of = np.abs(undone.P) / np.abs(undone.P).sum(axis=1, keepdims=True)
+    share = (of @ sample_weights(problem).of_rows[rows].T)[..., None]
+    return np.asarray(
+        np.linalg.qr(share * np.concatenate([W.swapaxes(0, 1), torques], axis=2), mode="r")
+    )
 
 
 def _error(factors: Array, A: Array) -> float:

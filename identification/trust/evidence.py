@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from acquisition.robot import Robot
 from ..arrays import Array, Bools, Ints
 from ..estimation import Estimate, Intervals, r_factor
 from ..regression import Arm, Lag, Problem, Rows
-from ..report import Assumed, Level, Method, TrustResult, is_gain
+from ..report import Assumed, Cause, Level, Method, TrustResult, is_gain
 from .candidates import Candidates
 
 BY_PRIOR = "held-out blocks by the prior"
@@ -268,7 +269,7 @@ class Words:
         """Return the result of the first case that holds; None if none does.
 
         `cases`: by name whether they hold. `figures`: the figures of their texts, and which parts
-        hold.
+        hold; `causes` among them are those of the result.
         """
         name = next((name for name, holds in cases.items() if holds), None)
         if name is None:
@@ -289,6 +290,7 @@ class Words:
             unit=self.unit,
             case=name,
             assumed=assumed,
+            causes=cast(tuple[Cause, ...], said.get("causes", ())),
         )
 
     def part(self, part: str, **said: object) -> str:

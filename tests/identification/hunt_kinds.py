@@ -453,7 +453,7 @@ KINDS = {
         robots=("scara", "tx40"),
     ),
     "efforts of two motors exchanged": Kind(
-        change=exchanged, named=(("signs and order", "are exchanged"),), robots=("scara", "tx40")
+        change=exchanged, named=(("signs and order", "are swapped"),), robots=("scara", "tx40")
     ),
     "sign of a coupled motor": Kind(
         change=sign_of_wrist, named=(("signs and order", "wrong sign"),), robots=("tx40",)
@@ -538,7 +538,7 @@ KINDS = {
         unseen=("scara",),
     ),
     "joint off by 90 degrees": Kind(
-        change=quarter_turn, named=(("a priori links", "off by"),), robots=WITH_PRIOR
+        change=quarter_turn, named=(("a priori links", "is wrong by"),), robots=WITH_PRIOR
     ),
     "links subtracted": Kind(
         change=links_subtracted,

@@ -94,7 +94,7 @@ def test_forty_percent_link_error_is_no_fault(monkeypatch):
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {name for name, *_ in line.figures} == set(TOLD)
     assert all(0.6 < value < 1.5 for _, value, *_ in line.figures)
-    monkeypatch.setattr(prior, "cause_by_prior", lambda _: "a cause")
+    monkeypatch.setattr(prior, "causes_by_prior", lambda _: 1 / 0)
     assert prior.prior_test(fit.data) == line
     assert fit.data.prior_error_percent > 3 * fit.trust.line("cross-validation").value
 
@@ -112,12 +112,15 @@ def with_columns(names: str, order=range(6), gain=1.0):
     [
         (("effort", range(6), [10, 1, 1, 1, 1, 1]), "the torque of pan is "),
         (("effort", range(6), [1, 1, 1, 3, 1, 1]), "the torque of wrist_1 is "),
-        (("effort", [1, 0, 2, 3, 4, 5]), "recorded efforts of joints pan and lift swapped."),
+        (("effort", [1, 0, 2, 3, 4, 5]), "the efforts of m_pan and m_lift are swapped."),
         (
             ("q q_ref", [0, 1, 3, 2, 4, 5]),
-            "recorded positions of joints elbow and wrist_1 swapped.",
+            "the positions of m_elbow and m_wrist_1 are swapped.",
         ),
-        (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees."),
+        (
+            ("q q_ref", range(6), np.pi / 180),
+            "the position of all joints is in rad, declared as degrees.",
+        ),
     ],
 )
 def test_recording_fault_named_at_joints(signals, said):

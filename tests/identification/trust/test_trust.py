@@ -142,7 +142,9 @@ def test_do_not_use_result_written_with_status_3(tmp_path, capsys):
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
     keys = {"test", "level", "value", "text", "advice", "case"}
-    assert all(keys <= {*line} <= keys | {"finding", "figures", "unit"} for line in severe)
+    assert all(
+        keys <= {*line} <= keys | {"finding", "figures", "unit", "causes"} for line in severe
+    )
     assert "physical plausibility" in [line["test"] for line in severe]
     status, printed, _ = run(capsys, "validate", out, SCARA)
     assert (status, "of joint elbow" in printed) == (0, True)
