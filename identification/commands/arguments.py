@@ -6,7 +6,7 @@ Options have the names of the fields that they set: `acquisition.commands.from_o
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -58,13 +58,18 @@ def add_method(settings: "argparse._ActionsContainer") -> None:
     )
 
 
-def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
-    """Return the recordings of `add_recordings`, not yet read."""
+def sources(
+    options: argparse.Namespace, description: Mapping[str, bytes] | None = None
+) -> list["data.RecordingFile"]:
+    """Return the recordings of `add_recordings`, not yet read.
+
+    The files of a `description` replace those that the options name.
+    """
     from acquisition.robot import load_robot
 
     from ..data import RecordingFile
 
-    robot, payloads = load_robot(options.robot) if options.robot else None, dict[str, str]()
+    files, payloads = load_robot(options.robot).files if options.robot else {}, dict[str, str]()
     for text in getattr(options, "payload", ()):
         name, _, payload = text.partition("=")
         names = [x for path in options.recordings for x in (path.name, path.stem)]
@@ -77,7 +82,11 @@ def sources(options: argparse.Namespace) -> list["data.RecordingFile"]:
         )
         payloads[name] = payload
     return [
-        RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem)))
+        RecordingFile(
+            path=str(path.absolute()),
+            description=tuple((description or files).items()) or None,
+            payload=payloads.get(path.name, payloads.get(path.stem)),
+        )
         for path in options.recordings
     ]
 

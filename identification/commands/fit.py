@@ -3,7 +3,7 @@
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -65,6 +65,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         "determined",
     )
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
+    add_path(
+        outputs,
+        "--write-corrected",
+        "ROBOT.toml",
+        "if tests name wrong signs, zeros or gains, write the corrected description, and fit with "
+        "it; `record --track` refuses it until a person has confirmed the joints",
+    )
     shared.add_pictures(
         outputs,
         "write trajectories and fit as a Rerun file; for several recordings FILE_LOG.rrd each",
@@ -73,14 +80,25 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
-    if options.start is not None and options.method in ("ols", "wls"):
-        shared.COMMAND_LINE.refuse(
-            "--start",
-            options.start,
-            text=f"requires --method iv, not {options.method}",
-        )
-    if options.prior is not None and not options.consistent:
-        shared.COMMAND_LINE.refuse("--prior", str(options.prior), text="requires --consistent")
+    shared.COMMAND_LINE.require(
+        options.start is None or options.method not in ("ols", "wls"),
+        "--start",
+        options.start,
+        text=f"requires --method iv, not {options.method}",
+    )
+    shared.COMMAND_LINE.require(
+        options.prior is None or options.consistent,
+        "--prior",
+        str(options.prior),
+        text="requires --consistent",
+    )
+    shared.COMMAND_LINE.require(
+        options.write_corrected is None or not options.write_corrected.exists(),
+        "--write-corrected",
+        str(options.write_corrected),
+        text="the file already exists",
+        advice="Choose a new name",
+    )
     robots = (".urdf", ".xml", ".xacro", ".toml")
     if len(options.recordings) > 1 and options.recordings[-1].suffix.lower() in robots:
         options.recordings = [_recording_of_log(options)]
@@ -88,12 +106,14 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         from .. import report, results
 
-        fit = _identify(options, progress.say)
-    document = results.fit_document(file := results.fit_file(fit))
+        fit, corrected = _corrected(options, progress.say)
+    document = results.fit_document(file := results.fit_file(fit, corrected))
     poor = [p.name for p in file.parameters if not p.essential]
     shared.show_results(
         options,
         document.with_short(
+            document.sections[bool(corrected)].title,
+            *([("Corrected", "; ".join(corrected))] if corrected else []),
             (
                 "Findings",
                 ", ".join(x.test for x in fit.trust.lines if x.level in ("do not use", "caution")),
@@ -226,11 +246,18 @@ def _pictures(options: argparse.Namespace) -> list[Path]:
     from acquisition.files import refuse_clash
 
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "ls")]
-    shared.refuse_outputs(inputs, json=options.json, report=options.report, picture=options.rrd)
-    if options.rrd is None or len(options.recordings) == 1:
-        return [options.rrd] if options.rrd else []
+    shared.refuse_outputs(
+        inputs,
+        json=options.json,
+        report=options.report,
+        picture=options.rrd,
+        corrected=options.write_corrected,
+    )
+    several = len(options.recordings) > 1
     pictures = [
-        options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings
+        options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") if several else options.rrd
+        for path in options.recordings
+        if options.rrd
     ]
     refuse_clash(inputs, *pictures)
     return pictures
@@ -255,14 +282,63 @@ def edited_descriptions(fit: "results.Evidence", recordings: list[Path]) -> list
     return list(lines)
 
 
-def _identify(options: argparse.Namespace, say: Callable[[str], None]) -> "results.Evidence":
-    """Return the fit.
+def _corrected(
+    options: argparse.Namespace, say: Callable[[str], None]
+) -> tuple["results.Evidence", list[str]]:
+    """Return the fit, with `--write-corrected` that by a corrected description, and what changed.
+
+    Each fit is corrected by the mistakes that its tests name, those of the a priori links first,
+    until none is named. The last description is written.
+    """
+    from acquisition.files import write_text
+
+    from .. import export
+
+    fit, lines = _identify(options, say), list[str]()
+    if (path := options.write_corrected) is None:
+        return fit, lines
+    while line := max(
+        (x for x in fit.trust.lines if x.case in ("cause", "mistake")),
+        key=lambda x: x.case == "cause",
+        default=None,
+    ):
+        named = line.finding.removesuffix("?")
+        shared.Location(str(path)).require(
+            line.causes and named not in lines,
+            text=line.text,
+            advice="Check which it is, and correct the description",
+        )
+        robot, changed = export.correct_description(
+            fit.problem.signals.robot, line.causes, fit.problem.poses, str(path)
+        )
+        lines += [named, *changed]
+        fit = _identify(options, say, robot.files)
+    shared.COMMAND_LINE.require(
+        lines,
+        "--write-corrected",
+        str(path),
+        text="no test names a sign, zero or gain to be corrected, so nothing is written",
+    )
+    write_text(path, fit.problem.signals.robot.files["robot.toml"].decode())
+    return fit, lines
+
+
+def _identify(
+    options: argparse.Namespace,
+    say: Callable[[str], None],
+    description: Mapping[str, bytes] | None = None,
+) -> "results.Evidence":
+    """Return the fit, by the files of a description in place of the recorded ones if it is given.
 
     The prior of the links is read before, so that a recording in A or V is refused at once.
     """
     from .. import data, methods, report, results
 
-    overrides, sources, prior = from_options(Overrides, options), shared.sources(options), None
+    overrides, sources, prior = (
+        from_options(Overrides, options),
+        shared.sources(options, description),
+        None,
+    )
     if options.consistent:
         robot = sources[0].load().robot
         if not options.gains:

@@ -10,6 +10,7 @@ from .description import (
     FILL_IN,
     USES,
     chain_of_letters,
+    correct_description,
     describe,
     describe_rows,
     read_robot,

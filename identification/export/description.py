@@ -1,16 +1,24 @@
-"""Make a description from a URDF and further values: text of a robot.toml, and its robot."""
+"""Make a description from a URDF and further values, or correct one: its text, and its robot."""
 
 import json
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from acquisition.errors import COMMAND_LINE, one_line
-from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
+import numpy as np
 
+from acquisition.errors import COMMAND_LINE, Location, one_line
+from acquisition.robot import FILL_IN, SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
+
+from ..arrays import Array
 from ..model import LINK, InverseModel
+from ..report import Cause
+from ..trust import DEGREES, Undone, undo
 from .chain import Chain, UrdfJoint, read_chain
+from .exporting import replace_in_tables
 
 # Uses that a marked line is needed for, after the mark.
 TO_FIT, TO_FIT_MOTORS, TO_MOVE = USES = " to fit", " to fit efforts of motors", " to move"
@@ -25,6 +33,9 @@ OF_GAINS = "A", "V", "%"  # efforts that a drive gain converts to N m or N
 # Of the example's SYNC: seven drives fill a bus at 2 ms, and the period has steps of 0.5 ms.
 _SYNC_PER_DRIVE_MS, _SHORTEST_SYNC_MS = 0.275, 2.0
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
+_UNCONFIRMED = """Nothing moves before a person has moved each of these joints by hand, compared
+# direction, amount and limits, and deleted this key. References that were made before do not apply
+# any more. Values at the joint are imported without ratio and zero."""
 
 
 def robot_of_chain(chain: Chain) -> Robot:
@@ -312,3 +323,103 @@ def _drives(chain: Chain) -> Iterator[str]:
             f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _DEFAULT_EFFORT))}",
             f"counts_per_{counts} = {_COUNTS}",
         )
+
+
+def correct_description(
+    robot: Robot, causes: Sequence[Cause], q: Array, place: str
+) -> tuple[Robot, list[str]]:
+    """Return the robot without these mistakes, and lines on what has changed in its description.
+
+    Each new value is below a remark, and `unconfirmed` names the joints that have changed.
+
+    Parameters
+    ----------
+    robot : the robot of the fit.
+    causes : the mistakes, in the order in which they are to be undone.
+    q : (N, n) recorded positions, rad or m.
+    place : name of the corrected description in errors.
+
+    Raises
+    ------
+    BadInputError : no robot.toml expresses the correction, or it cannot be edited line by line.
+    """
+    x, text, one = undo(robot, causes), robot.files["robot.toml"].decode(), np.eye(robot.n)
+    R, zero, gains = Location(place).given(
+        x.keys(robot),
+        text=f"{x.text}, which no robot.toml corrects",
+        advice=x.advice(robot).removesuffix("."),
+    )
+    by_ratio = np.count_nonzero(robot.R) == robot.n
+    rows: list[tuple[str, str, str, Any, Any]] = [
+        *(
+            ("motor", motor.name, "ratio", robot.R[k, k], R[k, k])
+            for k, motor in enumerate(robot.motors)
+            if by_ratio
+        ),
+        *(
+            ("motor", motor.name, "drive_gain", motor.drive_gain, motor.drive_gain * gain)
+            for motor, gain in zip(robot.motors, gains, strict=True)
+            if motor.drive_gain
+        ),
+        *(
+            ("joint", joint.name, joint.key(key), was * unit, now * unit)
+            for k, joint in enumerate(robot.joints)
+            for unit in [DEGREES if joint.type == "revolute" else 1.0]
+            for key, was, now in (
+                ("zero", robot.zero[k], zero[k]),
+                ("position", *_limits(robot, k, x, q)),
+            )
+        ),
+        ("", robot.name, "motor_matrix", robot.R, robot.R if by_ratio else R),
+        ("", robot.name, "gravity_m_s2", robot.gravity, robot.gravity + x.d),
+    ]
+    changes = [
+        (*of, np.round(was, 9).tolist(), np.round(now, 9).tolist())
+        for *of, was, now in rows
+        if not np.allclose(was, now)
+    ]
+    moved = np.c_[x.P - one, x.A - one, x.t].round(9).any(axis=1) | x.d.any()
+    names = [
+        joint.name
+        for joint, it in zip(robot.joints, moved, strict=True)
+        if it or joint.name in robot.unconfirmed
+    ]
+    text = replace_in_tables(
+        text,
+        "",
+        {robot.name: {"unconfirmed": names}},
+        place,
+        "" if robot.unconfirmed else _UNCONFIRMED,
+    )
+    for kind, name, key, was, now in changes:
+        text = replace_in_tables(
+            text, kind, {name: {key: now}}, place, f"corrected from a recording, was {was}"
+        )
+    # The control law of a dry run belongs to the recording.
+    files = {name: x for name, x in robot.files.items() if name != SIMULATED_CONTROLLER}
+    return robot_from_files(files | {"robot.toml": text.encode()}, place), [
+        f"{name}: {key} = {now} (was {was})" for _, name, key, was, now in changes
+    ]
+
+
+def _limits(robot: Robot, k: int, undone: Undone, q: Array) -> tuple[Array, Array]:
+    """Return the limits of position of a joint before and after, (2,) each; empty without limits.
+
+    They follow its sign and zero, unless the URDF has the same, which belong to its frames, or only
+    the present ones include the corrected positions of q (N, n).
+    """
+    joint, urdf = robot.joints[k], ET.fromstring(robot.urdf or "<robot/>")
+    now, limit = (
+        np.array(joint.si("position") or ()),
+        urdf.find(f"joint[@name='{joint.name}']/limit"),
+    )
+    followed, x = np.sort(undone.P[k, k] * now + undone.t[k]), (q @ undone.P.T + undone.t)[:, k]
+    inside = [(of[:1] <= x.min()).all() and (x.max() <= of[1:]).all() for of in (now, followed)]
+    kept = inside == [True, False] or (
+        limit is not None
+        and now.size
+        and np.allclose(
+            now, [float(limit.get(key, "nan")) for key in ("lower", "upper")], atol=1e-3
+        )
+    )
+    return now, now if kept else followed

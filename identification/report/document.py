@@ -121,12 +121,12 @@ class Document:
         """The part of the report that a terminal prints without `--all`."""
         return replace(self, sections=tuple(section.short or section for section in self.sections))
 
-    def with_short(self, *lines: Line) -> "Document":
-        """Return the report with a short form of its first section's title and these lines."""
+    def with_short(self, title: str, *lines: Line) -> "Document":
+        """Return the report with a short form of a section with this title and these lines."""
         return replace(
             self,
             sections=tuple(
-                replace(x, short=Section() if k else Section(title=x.title, lines=lines))
+                replace(x, short=Section() if k else Section(title=title, lines=lines))
                 for k, x in enumerate(self.sections)
             ),
         )

@@ -19,8 +19,8 @@ from .make_fit import smallest_cragg_donald
 from .parameters import fitted_parameters
 
 
-def fit_file(fit: Evidence) -> report.FitFile:
-    """Make the JSON file of a fit.
+def fit_file(fit: Evidence, corrected: Sequence[str] = ()) -> report.FitFile:
+    """Make the JSON file of a fit; `corrected` says what was changed in its description.
 
     A number that does not exist (without rows at standstill, say) is null.
     """
@@ -34,6 +34,7 @@ def fit_file(fit: Evidence) -> report.FitFile:
         gains=list(fit.gains) or UNSET,
         cragg_donald=smallest_cragg_donald(fit.data) if fit.gains else UNSET,
         payloads=list(fit.payloads) or UNSET,
+        corrected=list(corrected) or UNSET,
         law=_law(law, robot) if (law := fit.law) else UNSET,
         consistent=fit.consistent_set or UNSET,
         standard_parameters=list(fit.standard_parameters) or UNSET,

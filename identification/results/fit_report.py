@@ -28,6 +28,7 @@ from ..trust import LEVELS
 from . import recording_report as shared
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
+CORRECTED = "The description was corrected. Check its joints before motion:"
 HIDDEN = Section()  # the `short` of what only `--all` prints
 PARAMETERS = "Parameters"  # title of the section of all values
 METHODS = {
@@ -59,6 +60,7 @@ def fit_document(fit: FitFile) -> Document:
         badge=f"{fit.verdict} · {_counted(fit)}" if fit.verdict else "",
         figures=shared.main_figures(fit),
         sections=(
+            *([Section(title=CORRECTED, lines=tuple(fit.corrected))] if fit.corrected else []),
             _verdict_section(fit),
             _summary_section(fit),
             *shared.gain_sections(fit),

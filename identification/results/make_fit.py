@@ -197,6 +197,10 @@ def _warnings(model: Model) -> tuple[str, ...]:
             *p.for_errors.settings.warnings,
             *_short_moves(p),
             *_gain_warnings(p.signals),
+            *(
+                f"joint {joint} was corrected from a recording, and nobody has checked it yet"
+                for joint in p.signals.robot.unconfirmed
+            ),
         )
     ]
     named = [
