@@ -39,5 +39,5 @@ def test_commands_and_options_stay_few():
     assert len(ACQUIRE.commands) == 7
     assert len([*ACQUIRE.commands, *IDENTIFY.commands]) == 20
     assert (
-        sum(any(name.startswith("--") for name in action.option_strings) for action in found) <= 154
+        sum(any(name.startswith("--") for name in action.option_strings) for action in found) <= 155
     )

@@ -26,7 +26,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import load_robot
 from identification.model import InverseModel
 
-RATE_HZ, SECONDS, SEED, FIRST_NS = 250.0, 12.0, 1, 1_700_000_000_000_000_000
+RATE_HZ, SECONDS, SEED, FIRST_NS = 250.0, 8.0, 1, 1_700_000_000_000_000_000
 UR5 = [
     f"{name}_joint"
     for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")

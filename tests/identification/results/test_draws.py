@@ -70,7 +70,7 @@ def test_spread_of_arm_narrowed_only_by_bounds():
     parameters that no eigenvalue at its bound restricts have their intervals.
     """
     stored = stored_fit("tx40")
-    found, errors, names, model = drawn(stored, 1000)
+    found, errors, names, model = drawn(stored, 600)
     spread = spread_of(errors, stored, names)
     assert np.abs(spread[found.regular] - 1).max() < WITHIN
     assert 15 < found.regular.sum() < len(names)

@@ -211,7 +211,7 @@ def test_failed_fit_begins_with_cause(tmp_path):
         '<h2 id="s0">Verdict: do not use',
         '<p class="fact"><b>signs and order</b>',
         "the efforts of motor_1 and motor_2 are swapped",
-        "→ Check columns and signs of the recording.",
+        "→ Check this: swap both in columns of [effort] in map.toml",
         "<nav ",
         "</b>torque error in motion<",
         "<figure",
