@@ -15,6 +15,7 @@ import time
 import timeit
 from collections import Counter
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -127,13 +128,17 @@ def confirmed(file: str) -> dict[str, str]:
     """
     lines = wrongly_listed(times_in(file), REFERENCE_S / reference_s())
     os.environ["TEST_CPU"] = file
-    alone: dict[str, float] = {}
-    for name in lines:
+
+    def alone(test: tuple[int, str]) -> dict[str, float]:
         # A test that shared the fit of another has to make it here, so that it is slow again.
-        run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", name]
-        subprocess.run(run, check=True)
-        alone |= times_in(file)
-    lines = wrongly_listed(alone, REFERENCE_S / reference_s())
+        own = f"{file}.{test[0]}"
+        run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", test[1]]
+        subprocess.run(run, check=True, env=os.environ | {"TEST_CPU": own})
+        return times_in(own)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = [item for times in pool.map(alone, enumerate(lines)) for item in times.items()]
+    lines = wrongly_listed(dict(found), REFERENCE_S / reference_s())
     for _ in range(2):
         if lines and (status := pytest.main(["-q", "-p", "no:cacheprovider", *lines])):
             sys.exit(status)
