@@ -17,7 +17,7 @@ from conftest import REPLAY, ROOT
 from identification.commands import main
 
 PACKAGES = ("acquisition", "identification")
-MOST_STATEMENTS = {"acquisition": 8_217, "identification": 10_995, "tests": 23_064}
+MOST_STATEMENTS = {"acquisition": 8_217, "identification": 10_995, "tests": 23_065}
 SLACK = 60  # statements that a limit may be above what is there before it has to fall
 ROOMS = {"acquisition": 9, "identification": 15}
 MOST_RECORDS, MOST_VISITS = 37, 269
